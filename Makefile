@@ -1,0 +1,37 @@
+# Every target sets itself up: all that is needed is Python 3.11 or newer, make and git.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+WORKERS ?= 2
+
+.PHONY: demo test lint types bench docs clean
+
+$(READY): pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	touch $(READY)
+
+demo: $(READY)
+	rm -rf demo-output
+	$(BIN)/planeopt demo -o demo-output
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(READY)
+	$(BIN)/pyright
+
+test: lint types
+	$(BIN)/pytest -n $(WORKERS)
+
+bench: $(READY)
+	$(BIN)/pytest benchmarks -p no:cacheprovider
+
+docs: $(READY)
+	$(BIN)/pdoc --docformat numpy --math -o docs/api planeopt
+
+clean:
+	rm -rf $(VENV) demo-output docs/api build dist .pytest_cache .ruff_cache .hypothesis .benchmarks
