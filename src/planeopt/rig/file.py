@@ -1,0 +1,226 @@
+"""Read and write `rig.toml`: strict in what it accepts, exact in what it writes.
+
+The shape of the file (keys and types) is checked here, what the values may be by the classes that hold them; either way
+the user gets one line that names the file and the key.
+"""
+
+import os
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from planeopt.errors import InputError
+from planeopt.rig.beam import Beam
+from planeopt.rig.camera import Camera
+from planeopt.rig.covariance import RigCovariance
+from planeopt.rig.model import Rig, SpotDefinition
+
+FORMAT = 1
+"""Version of the file format that this reads and writes."""
+
+
+class _CameraTable(msgspec.Struct, forbid_unknown_fields=True):
+    image_size: list[int]
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: list[float]
+    pixel_pitch_mm: float | None = None
+
+
+class _LaserTable(msgspec.Struct, forbid_unknown_fields=True):
+    radius_mm: float
+    offset_mm: list[float]
+    direction: list[float]
+
+
+class _SpotTable(msgspec.Struct, forbid_unknown_fields=True):
+    kind: str = "disc"
+    level: float = 0.5
+    channel: str = "gray"
+    gamma: float = 1.0
+
+
+class _CovarianceTable(msgspec.Struct, forbid_unknown_fields=True):
+    parameters: list[str]
+    matrix: list[list[float]]
+
+
+class _File(msgspec.Struct, forbid_unknown_fields=True):
+    camera: _CameraTable
+    format: int = FORMAT
+    laser: _LaserTable | None = None
+    spot: _SpotTable | None = None
+    covariance: _CovarianceTable | None = None
+
+
+def load_rig(path: str | os.PathLike[str]) -> Rig:
+    """Read a rig from a TOML file.
+
+    Parameters
+    ----------
+    path : path-like
+        A `rig.toml`. Without `[laser]` it is a camera alone: see `Rig.require_beam`.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, unreadable or invalid: one line with the file, the key and what is wrong.
+    """
+    file = Path(path)
+    try:
+        text = file.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError as error:
+        raise InputError(f"{file}: there is no such file") from error
+    except IsADirectoryError as error:
+        raise InputError(f"{file}: this is a folder; name the rig file in it") from error
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{file}: not a text file in UTF-8 (byte {error.start})") from error
+    try:
+        mapping = tomllib.loads(text)
+    except ValueError as error:
+        raise InputError(f"{file}: not valid TOML: {error}") from error
+    return rig_from_dict(mapping, str(file))
+
+
+def rig_from_dict(mapping: Mapping[str, Any], source: str) -> Rig:
+    """Return the rig described by a mapping with the keys of `rig.toml`.
+
+    Parameters
+    ----------
+    mapping : mapping
+        As read from the file.
+    source : str
+        Where it came from; messages begin with it.
+
+    Raises
+    ------
+    InputError
+        If a key is missing, unknown or has an impossible value, or the format is not known.
+    """
+    version = mapping.get("format", FORMAT)
+    if isinstance(version, int) and not isinstance(version, bool) and version != FORMAT:
+        raise InputError(f"{source}: format {version} is not known; this version of planeopt reads format {FORMAT}")
+    try:
+        tables = msgspec.convert(dict(mapping), _File)
+    except msgspec.ValidationError as error:
+        raise InputError(f"{source}: {_in_words(str(error))}") from error
+    try:
+        return _assemble(tables)
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from error
+
+
+def _assemble(tables: _File) -> Rig:
+    # Lengths are left to the classes, whose messages say what the numbers are.
+    camera: dict[str, Any] = msgspec.structs.asdict(tables.camera)
+    camera["image_size"] = tuple(camera["image_size"])
+    camera["distortion"] = tuple(camera["distortion"])
+    laser: Any = tables.laser
+    covariance: Any = tables.covariance
+    return Rig(
+        camera=Camera(**camera),
+        beam=None if laser is None else Beam(laser.radius_mm, tuple(laser.offset_mm), tuple(laser.direction)),
+        spot=None if tables.spot is None else SpotDefinition(**msgspec.structs.asdict(tables.spot)),
+        covariance=None if covariance is None else RigCovariance(tuple(covariance.parameters), covariance.matrix),
+    )
+
+
+_KINDS = {
+    "float": "a number",
+    "int": "a whole number",
+    "array": "a list",
+    "object": "a table",
+    "str": "a text",
+    "bool": "true or false",
+}
+
+
+def _in_words(message: str) -> str:
+    """Turn msgspec's message ("Expected `float`, got `str` - at `$.camera.fx`") into the words of the file."""
+    what, _, where = message.partition(" - at ")
+    key = where.strip("`").removeprefix("$").removeprefix(".").replace("[...]", "")
+    place = f"[{key}]" if key else "the file"
+    if found := re.fullmatch(r"Object missing required field `(.+)`", what):
+        return f"{place} lacks the key {found[1]!r}"
+    if found := re.fullmatch(r"Object contains unknown field `(.+)`", what):
+        return f"{place} has the unknown key {found[1]!r}: check its spelling, or remove it"
+    if found := re.fullmatch(r"Expected `(.+)`, got `(.+)`", what):
+        wanted = found[1].removesuffix(" | null")
+        return f"{key or 'the file'} must be {_KINDS.get(wanted, wanted)}, not {_KINDS.get(found[2], found[2])}"
+    return f"{key or 'the file'}: {what}"
+
+
+def save_rig(rig: Rig, path: str | os.PathLike[str]) -> None:
+    """Write a rig to a TOML file that reads back equal, to the last bit.
+
+    The file is written beside its place and then renamed, so that a reader never sees half of it.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    file = Path(path)
+    if file.is_dir():
+        raise InputError(f"{file}: this is a folder; name the rig file to write in it")
+    beside = file.with_name(f".{file.name}.{os.getpid()}.part")
+    try:
+        beside.write_text(_as_toml(rig), encoding="utf-8")
+        beside.replace(file)
+    except OSError as error:
+        beside.unlink(missing_ok=True)
+        raise InputError(f"{file}: cannot be written: {error.strerror}") from error
+
+
+def _as_toml(rig: Rig) -> str:
+    camera = rig.camera
+    lines = [
+        f"format = {FORMAT}",
+        "",
+        "[camera]",
+        f"image_size = [{camera.image_size[0]}, {camera.image_size[1]}]",
+        *(f"{name} = {getattr(camera, name)!r}" for name in ("fx", "fy", "cx", "cy")),
+        f"distortion = {_list(camera.distortion)}  # k1, k2, p1, p2, k3 of OpenCV",
+    ]
+    if camera.pixel_pitch_mm is not None:
+        lines.append(f"pixel_pitch_mm = {camera.pixel_pitch_mm!r}")
+    if rig.beam is not None:
+        lines += [
+            "",
+            "[laser]",
+            f"radius_mm = {rig.beam.radius!r}",
+            f"offset_mm = {_list(rig.beam.offset)}  # where the axis crosses z = 0",
+            f"direction = {_list(rig.beam.direction)}",
+        ]
+    if rig.spot is not None:
+        lines += [
+            "",
+            "[spot]",
+            f'kind = "{rig.spot.kind}"',
+            f"level = {rig.spot.level!r}",
+            f'channel = "{rig.spot.channel}"',
+            f"gamma = {rig.spot.gamma!r}",
+        ]
+    if rig.covariance is not None:
+        lines += [
+            "",
+            "[covariance]  # of these parameters, jointly, in this order: px, mm, 1",
+            "parameters = [" + ", ".join(f'"{name}"' for name in rig.covariance.parameters) + "]",
+            "matrix = [",
+            *(f"    {_list(row)}," for row in rig.covariance.matrix.tolist()),
+            "]",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _list(values: tuple[float, ...] | list[float]) -> str:
+    # `repr` gives the fewest digits, 17 at most, that read back as the same number.
+    return "[" + ", ".join(map(repr, values)) + "]"
