@@ -1,0 +1,129 @@
+"""Image in, spot out."""
+
+import logging
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planeopt.errors import InputError
+from planeopt.rig import Rig, SpotDefinition
+from planeopt.spot.boundary import Boundary, measure_boundary
+from planeopt.spot.candidates import find_candidate, pixel_noise
+from planeopt.spot.grey import Grey, to_grey
+from planeopt.spot.points import Kind, Spot, SpotFlag
+
+_log = logging.getLogger(__name__)
+
+_CLIPPED = 0.01  # of the spot's pixels
+_FAINT = 10.0  # edge over noise
+_WHOLE = 0.9  # of the boundary
+_MANY_OUTLIERS = 0.05  # of the profiles
+_STRONG_CURVATURE = 0.3  # curvature times blur: the next term of the correction is about its square of the first
+_EXCESS = 3.0  # scatter over what the noise explains
+
+
+def find_spot(image: ArrayLike, rig: Rig | None = None, *, kind: Kind | None = None, source: str | None = None) -> Spot:
+    """Find the laser spot in an image and measure its boundary to a small fraction of a pixel.
+
+    A clean disc or ring on a darker surface, whole in the image. The boundary is measured along about one normal per
+    pixel of its length: an error function (a Gaussian ridge) with its own background and brightness on each normal, one
+    width shared round the spot, corrected for what blur does to a curved boundary.
+
+    Parameters
+    ----------
+    image : (H, W), (H, W, 3) or (H, W, 4) array
+        Unsigned integers or floats; colour as OpenCV orders it: blue, green, red.
+    rig : Rig, optional
+        Its ``spot`` says what the boundary is (kind, level, channel, gamma), its camera how large the image must be.
+    kind : {"disc", "ring"}, optional
+        Overrides the rig's. If nobody says, it is told from the image.
+    source : str, optional
+        Name of the file, for the record.
+
+    Returns
+    -------
+    Spot
+        Points in raw pixels in order round the boundary, with `sigma`.
+
+    Raises
+    ------
+    SpotNotFound
+        If there is no spot, no single one, or none that can be measured; carries the reason.
+    InputError
+        If the array is not an image, or not of the rig's size.
+    """
+    definition = SpotDefinition() if rig is None or rig.spot is None else rig.spot
+    said = kind if kind is not None else _kind(rig)
+    if said not in (None, "disc", "ring"):
+        raise InputError(f'kind must be "disc" or "ring", not {said!r}')
+    pixels = np.asarray(image)
+    grey = to_grey(pixels, definition.channel, definition.gamma)
+    if rig is not None:
+        _check_size(grey.values.shape, rig, source)
+    noise = pixel_noise(grey.values)
+    candidate = find_candidate(grey, noise, said)
+    boundary = measure_boundary(grey.values, candidate, definition.level)
+    _log.debug(
+        "%s %s: %d points, width %.2f px, scatter %.2f of the noise's, inflation %.2f",
+        source or "image", candidate.kind, len(boundary.points), boundary.width, boundary.excess, boundary.inflation,
+    )  # fmt: skip
+    saturation = _saturation(grey, boundary)
+    return Spot(
+        points=boundary.points,
+        sigma=boundary.sigma,
+        kind=candidate.kind,
+        arc_fraction=boundary.share,
+        contrast=boundary.height,
+        blur=boundary.width,
+        saturation=saturation,
+        flags=_flags(boundary, noise, saturation, said is None and candidate.kind == "ring"),
+        source=source,
+    )
+
+
+def _kind(rig: Rig | None) -> Kind | None:
+    if rig is None or rig.spot is None:
+        return None
+    return "ring" if rig.spot.kind == "ring" else "disc"
+
+
+def _check_size(shape: tuple[int, ...], rig: Rig, source: str | None) -> None:
+    width, height = rig.camera.image_size
+    if shape != (height, width):
+        raise InputError(
+            f"{source or 'image'}: {shape[1]} x {shape[0]} px, but the rig was calibrated with images of "
+            f"{width} x {height} px; use images as the camera gave them, neither cropped nor resized"
+        )
+
+
+def _saturation(grey: Grey, boundary: Boundary) -> float | None:
+    """Return the share of clipped pixels where the spot is bright: above half its height."""
+    if grey.clipped is None:
+        return None
+    spot = _bright_pixels(grey.values, boundary)
+    bright = spot > boundary.background + boundary.height / 2
+    clipped = _bright_pixels(grey.clipped, boundary) & bright
+    return float(clipped.sum() / max(int(bright.sum()), 1))
+
+
+def _bright_pixels(values: NDArray[Any], boundary: Boundary) -> NDArray[Any]:
+    half_width, half_height = boundary.ellipse.grown(1.1).extent
+    x, y = boundary.ellipse.x, boundary.ellipse.y
+    return values[
+        max(int(y - half_height), 0) : int(y + half_height) + 2, max(int(x - half_width), 0) : int(x + half_width) + 2
+    ]
+
+
+def _flags(boundary: Boundary, noise: float, saturation: float | None, ring_assumed: bool) -> tuple[SpotFlag, ...]:
+    found = {
+        SpotFlag.RING_ASSUMED: ring_assumed,
+        SpotFlag.SATURATED: saturation is not None and saturation > _CLIPPED,
+        SpotFlag.LOW_CONTRAST: boundary.height < _FAINT * noise,
+        SpotFlag.PARTIAL_ARC: boundary.share < _WHOLE,
+        SpotFlag.MANY_OUTLIERS: boundary.outliers > _MANY_OUTLIERS,
+        SpotFlag.STRONG_CURVATURE: boundary.curvature > _STRONG_CURVATURE,
+        SpotFlag.OWN_WIDTH: boundary.ambiguity > float(np.median(boundary.sigma)),
+        SpotFlag.NOT_AN_ELLIPSE: boundary.excess > _EXCESS,
+    }
+    return tuple(flag for flag, applies in found.items() if applies)
