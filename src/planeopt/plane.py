@@ -48,9 +48,8 @@ class Plane:
         largest = float(np.max(np.abs(normal)))
         if largest == 0:
             raise InputError("the normal of a plane must not be zero")
-        square = float(normal @ normal)
         # A vector that is unit already stays as it is to the last bit, so that what was written reads back equal.
-        if not abs(square - 1) <= _ROUNDING:
+        if abs(math.hypot(*normal.tolist()) - 1) > _ROUNDING:
             normal = normal / largest
             normal /= np.linalg.norm(normal)
         object.__setattr__(self, "normal", _frozen(normal))
@@ -81,7 +80,7 @@ class Plane:
         Raises
         ------
         InputError
-            If an intercept is not a number, one is zero (the plane goes through the camera's centre), or all are infinite.
+            If an intercept is not a number, is zero (a plane through the camera's centre), or all are infinite.
         """
         intercepts = np.array([a, b, c], dtype=np.float64)
         if np.any(np.isnan(intercepts)):

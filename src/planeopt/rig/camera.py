@@ -16,6 +16,8 @@ _NEWTON_STEPS = 30
 # Largest residual, in normalised units, of an inverse that counts as found: 1e-9 px at a focal length of 10,000 px.
 _INVERSE_TOLERANCE = 1e-13
 _RADIAL_GRID = 1025
+# Normalised radius (the tangent of the angle to the optical axis) beyond which no pinhole lens sees: 89.99 degrees.
+_WIDEST = 1e4
 
 _OTHER_MODELS = {
     4: "append k3 = 0 to OpenCV's four; a fisheye model is not supported",
@@ -108,9 +110,10 @@ class Camera:
         it the image folds back over itself, and a pixel no longer tells which of two rays it came from.
         """
         k1, k2, _, _, k3 = self.distortion
-        roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])
-        squares = roots.real[(roots.imag == 0) & (roots.real > 0)]
-        return math.sqrt(float(squares.min())) if squares.size else math.inf
+        # In 1 / r^2, where the leading coefficient is 1 however small k3 is.
+        roots = np.roots([1.0, 3 * k1, 5 * k2, 7 * k3])
+        inverse_squares = roots.real[(roots.imag == 0) & (roots.real > _WIDEST**-2)]
+        return 1 / math.sqrt(float(inverse_squares.max())) if inverse_squares.size else math.inf
 
     def project(self, normalised: ArrayLike) -> FloatArray:
         """Return the pixels (..., 2) of normalised coordinates (..., 2), which are (X/Z, Y/Z) in the camera frame.
@@ -162,7 +165,7 @@ class Camera:
 
     def _undistort(self, target: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Return the normalised points (N, 2) that distort to the target, and which of them hold."""
-        limit = self.invertible_radius
+        limit = min(self.invertible_radius, _WIDEST)
         points = self._radial_start(target, limit)
         for _ in range(_NEWTON_STEPS):
             residual = self._residual(points, target)

@@ -93,7 +93,7 @@ def _covariance(values: object, names: tuple[str, ...]) -> FloatArray:
         raise InputError("covariance.matrix must have rows of equal length, one number per parameter") from error
     n = len(names)
     if matrix.shape != (n, n):
-        found = " x ".join(map(str, matrix.shape))
+        found = " x ".join(map(str, matrix.shape)) if matrix.size else "empty"
         raise InputError(f"covariance.matrix must be {n} x {n}, one row per parameter, not {found}")
     if not np.all(np.isfinite(matrix)):
         row, column = np.argwhere(~np.isfinite(matrix))[0].tolist()

@@ -133,13 +133,18 @@ def _assemble(tables: _File) -> Rig:
     )
 
 
-_KINDS = {
+_WANTED = {
     "float": "a number",
     "int": "a whole number",
     "array": "a list",
     "object": "a table",
     "str": "a text",
+}
+_FOUND = _WANTED | {
+    "float": "a decimal number",
     "bool": "true or false",
+    "date": "a date",
+    "datetime": "a date and time",
 }
 
 
@@ -154,7 +159,7 @@ def _in_words(message: str) -> str:
         return f"{place} has the unknown key {found[1]!r}: check its spelling, or remove it"
     if found := re.fullmatch(r"Expected `(.+)`, got `(.+)`", what):
         wanted = found[1].removesuffix(" | null")
-        return f"{key or 'the file'} must be {_KINDS.get(wanted, wanted)}, not {_KINDS.get(found[2], found[2])}"
+        return f"{key or 'the file'} must be {_WANTED.get(wanted, wanted)}, not {_FOUND.get(found[2], found[2])}"
     return f"{key or 'the file'}: {what}"
 
 

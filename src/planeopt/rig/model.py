@@ -201,7 +201,7 @@ class Rig:
             Where the beam's axis meets each plane, camera frame, mm.
         """
         beam = self.require_beam()
-        p, q = np.asarray(p, dtype=np.float64), np.asarray(q, dtype=np.float64)
+        p, q = np.broadcast_arrays(np.asarray(p, dtype=np.float64), np.asarray(q, dtype=np.float64))
         upward = np.stack([-p, -q, np.ones_like(p)], axis=-1)
         normals = upward / np.linalg.norm(upward, axis=-1, keepdims=True) @ self.Q
         along = np.asarray(z_L, dtype=np.float64)[..., None] * np.array(beam.direction)
