@@ -11,7 +11,7 @@ with the misprints corrected; what the paper prints is kept in `planeopt.paper`.
 number     here
 =========  ============================================================================================
 (1)        `planeopt.plane.Plane.intercepts`
-(3)        `spot_point`
+(3)        `spot_point`; on the laser constraint, in slopes, `spot_point_in_slopes`
 (5)        `image_point`, and its inverse `spot_angle` with the coefficients `a_coefficients`
 (6)        `image_conic`; on the laser constraint, in slopes, `image_conic_in_slopes`
 (9)        `laser_conic`
@@ -68,6 +68,12 @@ class SlopeVariables(NamedTuple):
     q: Any
 
 
+def slopes(m: Namespace, v: PaperVariables) -> tuple[Any, Any]:
+    """Slopes ``p = -tan(alpha) sin(beta)``, ``q = tan(alpha) cos(beta)`` of the plane."""
+    tangent = m.tan(v.alpha)
+    return -tangent * m.sin(v.beta), tangent * m.cos(v.beta)
+
+
 @dataclass(frozen=True)
 class Equation:
     """A numbered equation: call it as ``equation(m, ...)``; its number, name, unit and block go into every message."""
@@ -106,6 +112,13 @@ def spot_point(m: Namespace, v: PaperVariables, k: Setup, theta: Any) -> tuple[A
     x = k.e_x + along * m.cos(v.beta) - across * m.sin(v.beta) * m.cos(v.alpha)
     y = k.e_y + along * m.sin(v.beta) + across * m.cos(v.beta) * m.cos(v.alpha)
     return x, y, v.z_L + across * m.sin(v.alpha)
+
+
+@equation("3", "boundary of the spot in space, in slopes", "mm", Block.GEOMETRY)
+def spot_point_in_slopes(m: Namespace, v: SlopeVariables, k: Setup, phi: Any) -> tuple[Any, Any, Any]:
+    """(3) where ``R cos(alpha) = r`` holds, by the angle ``phi = theta + beta`` round the beam: regular at alpha = 0."""
+    x, y = k.r * m.cos(phi), k.r * m.sin(phi)
+    return k.e_x + x, k.e_y + y, v.z_L + v.p * x + v.q * y
 
 
 @equation("5", "image of a point", "mm", Block.GEOMETRY)
@@ -317,6 +330,13 @@ def in_front_in_slopes(m: Namespace, v: SlopeVariables, k: Setup) -> Any:
     """`in_front` squared, smooth at ``n = (p, q) = 0``; together with ``z_L > 0``."""
     del m
     return v.z_L**2 - k.r**2 * (v.p**2 + v.q**2)
+
+
+@equation("6", "the spot's centre is in front of the camera, z_L > 0", "mm", Block.GEOMETRY)
+def before_camera(m: Namespace, v: SlopeVariables, k: Setup) -> Any:
+    """Depth of the spot's centre: what `in_front_in_slopes`, a square, leaves open."""
+    del m, k
+    return v.z_L
 
 
 @equation(

@@ -9,14 +9,15 @@ The monomials of a point are `xi = (x^2, x y, y^2, x, y, 1)`; `A` are the last f
 
 import numpy as np
 
-from planeopt.conic.ellipse import BoolArray, FloatArray, is_ellipse
+from planeopt.conic.ellipse import BoolArray, FloatArray
 from planeopt.conic.sample import EPS, Sample
 
 MAX_STEPS = 100
 """Steps of Gauss-Newton; four to eight are usual."""
 
-STEP_TOLERANCE = 1e-9
-"""A step below this many standard deviations, per point, ends the iteration."""
+STEP_TOLERANCE = 1e-7
+"""A step below this many standard deviations ends the iteration. The step after it would be shorter by the noise over
+the ellipse's size, so what is missing is far below 1e-9 standard deviations."""
 
 
 def monomials(u: FloatArray) -> FloatArray:
@@ -215,12 +216,6 @@ def factor_algebraic(sample: Sample, B: FloatArray, weighted: bool) -> FloatArra
     spread = np.sqrt(residual_variance(sample, B)) * root
     middle = _triangle(spread[..., None] * Q)
     return np.linalg.solve(R, _transpose(middle))
-
-
-def is_real_ellipse_theta(theta: FloatArray) -> BoolArray:
-    """Tell, (K,), where six coefficients of any scale are a real ellipse."""
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        return is_ellipse(theta[:, 1:] / theta[:, :1])
 
 
 def _triangle(matrix: FloatArray) -> FloatArray:

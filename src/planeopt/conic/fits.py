@@ -19,6 +19,7 @@ from planeopt.conic.ellipse import (
     conic_matrix,
     dual_conic,
     geometric_from_conic,
+    is_ellipse,
 )
 from planeopt.conic.refusals import line_explains, raise_for, undetermined_verdict, verdict_of_shape
 from planeopt.conic.sample import EPS, Sample, Verdict, prepare, replace_unusable
@@ -29,6 +30,8 @@ Method = Literal["maximum_likelihood", "taubin", "direct", "least_squares"]
 
 CHUNK = 1 << 14
 """Points worked on at once: the arrays of one piece stay in the processor's cache."""
+
+UNIT_CIRCLE = (0.0, 1.0, 0.0, 0.0, -1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,8 +193,9 @@ def taubin(points: ArrayLike, noise: ArrayLike | None = None, *, check: bool = T
 def direct(points: ArrayLike, noise: ArrayLike | None = None, *, check: bool = True) -> ConicFit:
     """Fit by Fitzgibbon's method as made stable by Halir & Flusser (1998).
 
-    It answers with an ellipse whatever the points are, a hyperbola's included, and shrinks short arcs: at 40 % of the
-    arc and 0.3 px its error is half as large again as the bound, nearly all of it bias.
+    It answers with an ellipse whatever the points are, a hyperbola's included, and shrinks short arcs: semi-axes of
+    100 and 60 px with 0.3 px of noise come out 0.5 and 0.8 px too small on 40 % of the arc, 21 and 15 px on 25 %, where
+    maximum likelihood errs by 0.02, and by 0.5 and 0.2 px.
     """
     return fit_conic(points, noise, "direct", check=check)
 
@@ -219,50 +223,57 @@ def _fit_chunk(sample: Sample, verdict: np.ndarray, method: Method, scale_unknow
     theta, spread = estimators.taubin(sample)
     reach = 1 + np.max(np.abs(sample.origin), axis=-1) / sample.unit
     undetermined = (spread <= 64 * EPS * reach) & (verdict == 0)
-    if np.any(undetermined):
+    line = line_explains(sample, _scaled(theta), scale_unknown) & ~undetermined & (verdict == 0)
+    if np.any(undetermined | line):
+        verdict = np.where(line, Verdict.LINE, verdict)
         verdict = np.where(undetermined, undetermined_verdict(sample.u), verdict)
-        sample = replace_unusable(sample, undetermined)
+        sample = replace_unusable(sample, undetermined | line)
         theta, _ = estimators.taubin(sample)
-    B, failed = _ESTIMATORS[method](sample, theta)
-    kind = verdict_of_shape(np.concatenate([np.ones((len(B), 1)), B], axis=-1))
-    if np.any(failed):
-        # What the points lie on shows in the fit that may be any conic; one that diverges has no shape.
-        kind_of_any = verdict_of_shape(theta)
-        kind = np.where(failed, np.where(kind_of_any != 0, kind_of_any, Verdict.NOT_CONVERGED), kind)
-    verdict = np.where(verdict == 0, kind, verdict)
+    B, converged = _ESTIMATORS[method](sample, theta)
+    shape = verdict_of_shape(np.concatenate([np.ones((len(B), 1)), B], axis=-1))
+    if np.any((shape != 0) | ~converged):
+        # What the points lie on shows best in the fit that may be any conic: others may have fled to infinity.
+        any_shape = verdict_of_shape(theta)
+        shape = np.where(converged, shape, Verdict.NOT_CONVERGED)
+        shape = np.where((shape != 0) & (any_shape != 0), any_shape, shape)
+    verdict = np.where(verdict == 0, shape, verdict)
     bad = verdict != 0
     if np.any(bad):
-        B, sample = np.where(bad[:, None], [0.0, 1.0, 0.0, 0.0, -1.0], B), replace_unusable(sample, bad)
-    chi2 = estimators.chi_squared(sample, B)
-    line = line_explains(sample, chi2, scale_unknown) & ~bad
+        B, sample = np.where(bad[:, None], UNIT_CIRCLE, B), replace_unusable(sample, bad)
     if method == "maximum_likelihood":
         factor = estimators.factor_maximum_likelihood(sample, B)
     else:
         factor = estimators.factor_algebraic(sample, B, weighted=method == "taubin")
-    return _Chunk(B, factor, chi2, np.where(line, Verdict.LINE, verdict))
+    return _Chunk(B, factor, estimators.chi_squared(sample, B), verdict)
+
+
+def _scaled(theta: FloatArray) -> FloatArray:
+    """Return B of six coefficients; a conic without x^2 gets coefficients so large that it is seen to be no ellipse."""
+    b0 = theta[:, :1]
+    tiny = EPS * EPS * np.max(np.abs(theta), axis=-1, keepdims=True)
+    return theta[:, 1:] / np.where(np.abs(b0) > tiny, b0, tiny)
 
 
 def _start_and_maximise(sample: Sample, theta: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Start from Taubin's fit, or from the direct one where Taubin's is no ellipse."""
-    real = estimators.is_real_ellipse_theta(theta)
-    start = theta[:, 1:] / np.where(real, theta[:, 0], 1.0)[:, None]
+    start = _scaled(theta)
+    real = is_ellipse(start)
     if not np.all(real):
         start = np.where(real[:, None], start, estimators.direct(sample))
-    B, converged = estimators.maximum_likelihood(sample, start)
-    return B, ~converged
+    return estimators.maximum_likelihood(sample, start)
 
 
-def _taubin_scaled(_: Sample, theta: FloatArray) -> tuple[FloatArray, BoolArray]:
-    failed = np.abs(theta[:, 0]) <= EPS * np.max(np.abs(theta), axis=-1)
-    return theta[:, 1:] / np.where(failed, 1.0, theta[:, 0])[:, None], failed
+def _always(B: FloatArray) -> tuple[FloatArray, BoolArray]:
+    return B, np.ones(len(B), dtype=bool)
 
 
 _ESTIMATORS: dict[Method, Callable[[Sample, FloatArray], tuple[FloatArray, BoolArray]]] = {
     "maximum_likelihood": _start_and_maximise,
-    "taubin": _taubin_scaled,
-    "direct": lambda sample, _: (estimators.direct(sample), np.zeros(len(sample.u), dtype=bool)),
-    "least_squares": lambda sample, _: (estimators.least_squares(sample), np.zeros(len(sample.u), dtype=bool)),
+    "taubin": lambda _, theta: _always(_scaled(theta)),
+    "direct": lambda sample, _: _always(estimators.direct(sample)),
+    "least_squares": lambda sample, _: _always(estimators.least_squares(sample)),
 }
+"""Each takes sets of points and Taubin's fit of them, and returns B and where it converged."""
 
 
 def _assemble(chunk: _Chunk, sample: Sample, lead: tuple[int, ...], method: Method, scale_unknown: bool) -> ConicFit:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planeopt.conic.ellipse import BoolArray, FloatArray, conic_matrix, is_ellipse
+from planeopt.conic.estimators import chi_squared
 from planeopt.conic.sample import EPS, Sample, Verdict, line_offsets
 from planeopt.errors import InputError
 
@@ -53,11 +54,11 @@ def undetermined_verdict(u: FloatArray) -> np.ndarray:
     return np.where(few, Verdict.TOO_FEW, Verdict.LINE_PAIR)
 
 
-def line_explains(sample: Sample, chi2: FloatArray, scale_unknown: bool) -> BoolArray:
+def line_explains(sample: Sample, B: FloatArray, scale_unknown: bool) -> BoolArray:
     """Tell, (K,), where a straight line fits the points within their noise, so that an ellipse would be invented.
 
-    The mean square distance from the line, over the noise or over the conic's own residual, is at most three standard
-    deviations of that of pure noise above one.
+    The mean square distance from the line, over the noise or, if that is unknown, over the residual of the conics B, is
+    at most three standard deviations of that of pure noise above one.
     """
     n = sample.u.shape[1]
     offsets, normal = line_offsets(sample.u)
@@ -68,7 +69,7 @@ def line_explains(sample: Sample, chi2: FloatArray, scale_unknown: bool) -> Bool
     if not scale_unknown:
         return level <= expected
     rounding = 1 + np.max(np.abs(sample.origin), axis=-1) / sample.unit
-    residual = chi2 / (n - 5) if n > 5 else np.zeros(len(chi2))
+    residual = chi_squared(sample, B) / (n - 5) if n > 5 else np.zeros(len(B))
     return level <= expected * np.maximum(residual, (EPS * rounding * sample.unit) ** 2)
 
 

@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from planeopt.conic import arc_fraction
 from planeopt.errors import InputError
-from planeopt.rig import Rig, SpotDefinition
-from planeopt.spot.boundary import Boundary, measure_boundary
+from planeopt.rig import Camera, Rig, SpotDefinition
+from planeopt.spot.boundary import Boundary, Straighten, measure_boundary
 from planeopt.spot.candidates import find_candidate, pixel_noise
 from planeopt.spot.grey import Grey, to_grey
 from planeopt.spot.points import Kind, Spot, SpotFlag
@@ -21,9 +22,17 @@ _WHOLE = 0.9  # of the boundary
 _MANY_OUTLIERS = 0.05  # of the profiles
 _STRONG_CURVATURE = 0.3  # curvature times blur: the next term of the correction is about its square of the first
 _EXCESS = 3.0  # scatter over what the noise explains
+_AMBIGUITY = 0.05  # px
 
 
-def find_spot(image: ArrayLike, rig: Rig | None = None, *, kind: Kind | None = None, source: str | None = None) -> Spot:
+def find_spot(
+    image: ArrayLike,
+    rig: Rig | None = None,
+    *,
+    kind: Kind | None = None,
+    camera_blur: float | None = None,
+    source: str | None = None,
+) -> Spot:
     """Find the laser spot in an image and measure its boundary to a small fraction of a pixel.
 
     A clean disc or ring on a darker surface, whole in the image. The boundary is measured along about one normal per
@@ -38,6 +47,9 @@ def find_spot(image: ArrayLike, rig: Rig | None = None, *, kind: Kind | None = N
         Its ``spot`` says what the boundary is (kind, level, channel, gamma), its camera how large the image must be.
     kind : {"disc", "ring"}, optional
         Overrides the rig's. If nobody says, it is told from the image.
+    camera_blur : float, optional
+        Standard deviation of what optics and pixels blur, px, if known. It matters for small spots with a boundary that
+        is soft by itself, rings above all (`SpotFlag.OWN_WIDTH`).
     source : str, optional
         Name of the file, for the record.
 
@@ -54,16 +66,23 @@ def find_spot(image: ArrayLike, rig: Rig | None = None, *, kind: Kind | None = N
         If the array is not an image, or not of the rig's size.
     """
     definition = SpotDefinition() if rig is None or rig.spot is None else rig.spot
+    if camera_blur is not None and not 0 < camera_blur < np.inf:
+        raise InputError(f"camera_blur must be a positive number of pixels, not {camera_blur!r}")
     said = kind if kind is not None else _kind(rig)
     if said not in (None, "disc", "ring"):
         raise InputError(f'kind must be "disc" or "ring", not {said!r}')
-    pixels = np.asarray(image)
-    grey = to_grey(pixels, definition.channel, definition.gamma)
+    grey = to_grey(image, definition.channel, definition.gamma)
     if rig is not None:
         _check_size(grey.values.shape, rig, source)
     noise = pixel_noise(grey.values)
     candidate = find_candidate(grey, noise, said)
-    boundary = measure_boundary(grey.values, candidate, definition.level)
+    boundary = measure_boundary(
+        grey.values,
+        candidate,
+        level=definition.level,
+        camera_blur=camera_blur,
+        straighten=None if rig is None else _straighten(rig.camera),
+    )
     _log.debug(
         "%s %s: %d points, width %.2f px, scatter %.2f of the noise's, inflation %.2f",
         source or "image", candidate.kind, len(boundary.points), boundary.width, boundary.excess, boundary.inflation,
@@ -73,7 +92,7 @@ def find_spot(image: ArrayLike, rig: Rig | None = None, *, kind: Kind | None = N
         points=boundary.points,
         sigma=boundary.sigma,
         kind=candidate.kind,
-        arc_fraction=boundary.share,
+        arc_fraction=float(arc_fraction(boundary.outline.conic, boundary.points)),
         contrast=boundary.height,
         blur=boundary.width,
         saturation=saturation,
@@ -86,6 +105,15 @@ def _kind(rig: Rig | None) -> Kind | None:
     if rig is None or rig.spot is None:
         return None
     return "ring" if rig.spot.kind == "ring" else "disc"
+
+
+def _straighten(camera: Camera) -> Straighten:
+    def straight(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        normalised, jacobian = camera.normalise(points)
+        focal = np.sqrt(camera.fx * camera.fy)
+        return focal * normalised, focal * np.sqrt(np.abs(np.linalg.det(jacobian)))
+
+    return straight
 
 
 def _check_size(shape: tuple[int, ...], rig: Rig, source: str | None) -> None:
@@ -108,8 +136,8 @@ def _saturation(grey: Grey, boundary: Boundary) -> float | None:
 
 
 def _bright_pixels(values: NDArray[Any], boundary: Boundary) -> NDArray[Any]:
-    half_width, half_height = boundary.ellipse.grown(1.1).extent
-    x, y = boundary.ellipse.x, boundary.ellipse.y
+    half_width, half_height = boundary.outline.grown(1.1).extent
+    x, y = boundary.outline.x, boundary.outline.y
     return values[
         max(int(y - half_height), 0) : int(y + half_height) + 2, max(int(x - half_width), 0) : int(x + half_width) + 2
     ]
@@ -123,7 +151,7 @@ def _flags(boundary: Boundary, noise: float, saturation: float | None, ring_assu
         SpotFlag.PARTIAL_ARC: boundary.share < _WHOLE,
         SpotFlag.MANY_OUTLIERS: boundary.outliers > _MANY_OUTLIERS,
         SpotFlag.STRONG_CURVATURE: boundary.curvature > _STRONG_CURVATURE,
-        SpotFlag.OWN_WIDTH: boundary.ambiguity > float(np.median(boundary.sigma)),
+        SpotFlag.OWN_WIDTH: boundary.ambiguity > _AMBIGUITY,
         SpotFlag.NOT_AN_ELLIPSE: boundary.excess > _EXCESS,
     }
     return tuple(flag for flag, applies in found.items() if applies)

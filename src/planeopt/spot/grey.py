@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planeopt.errors import InputError
 
@@ -31,7 +31,7 @@ class Grey:
     clipped: NDArray[np.bool_] | None
 
 
-def to_grey(image: NDArray[Any], channel: str = "gray", gamma: float = 1.0) -> Grey:
+def to_grey(image: ArrayLike, channel: str = "gray", gamma: float = 1.0) -> Grey:
     """Turn an image into linear grey.
 
     Parameters
@@ -48,7 +48,10 @@ def to_grey(image: NDArray[Any], channel: str = "gray", gamma: float = 1.0) -> G
     InputError
         If the array is not an image.
     """
-    image = np.asarray(image)
+    try:
+        image = np.asarray(image)
+    except ValueError as error:
+        raise InputError(f"image: not an array of pixels ({error})") from None
     if channel not in ("gray", *_CHANNELS):
         raise InputError(f'spot: channel must be "gray", "red", "green" or "blue", not {channel!r}')
     if not (np.isfinite(gamma) and gamma > 0):

@@ -32,7 +32,7 @@ class SpotFlag(Enum):
     )
     OWN_WIDTH = (
         "The beam's own softness and the camera's blur cannot be told apart; "
-        "which of them it is matters more here than the noise of a point."
+        "taking one for the other would move the boundary by more than 0.05 px."
     )
     NOT_AN_ELLIPSE = (
         "The boundary departs from an ellipse by more than 3 times what the image's noise explains; sigma includes it."
@@ -52,7 +52,7 @@ class NoSpotReason(Enum):
     NOT_AN_ELLIPSE = "What stands out from its surroundings is not an ellipse."
     SEVERAL = "Several things in the image look like a spot."
     WRONG_KIND = "The spot is not of the kind asked for."
-    NO_BOUNDARY = "A spot is there, but too little of its boundary can be measured."
+    NO_BOUNDARY = "Something like a spot is there, but too little of its boundary can be measured."
 
 
 class SpotNotFound(Exception):  # noqa: N818 - an answer with a reason, not an error
@@ -96,7 +96,7 @@ class Spot:
     kind : {"disc", "ring"}, optional
         What the boundary is: half the plateau, or the ridge.
     arc_fraction : float, optional
-        Share of the ellipse's directions that the points cover, 0 to 1.
+        Share of the ellipse, in eccentric angle, that the points cover (`planeopt.conic.arc_fraction`).
     contrast : float, optional
         Height of the edge (of the ridge) over the background as a share of full scale.
     blur : float, optional

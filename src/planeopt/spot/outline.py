@@ -1,6 +1,6 @@
 """The ellipse that guides the search: where to look for the boundary, and along which normals.
 
-It is a reference only: it never ends up in a result. The estimate proper, with its covariance, is made from the points.
+It never ends up in a result: the estimate proper, with its covariance, is made from the points.
 """
 
 from dataclasses import dataclass
@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planeopt.conic import conic_from_geometric, maximum_likelihood
+
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Ellipse:
+class Outline:
     """An ellipse in the image.
 
     Parameters
@@ -48,9 +50,14 @@ class Ellipse:
         half = np.hypot(*(self.axes * [self.a, self.b]).T)
         return float(half[0]), float(half[1])
 
-    def grown(self, factor: float) -> "Ellipse":
+    @property
+    def conic(self) -> Array:
+        """Coefficients (5,) of the conic (16), px."""
+        return conic_from_geometric([self.x, self.y], [self.a, self.b], self.angle)
+
+    def grown(self, factor: float) -> "Outline":
         """Return the ellipse with both semi-axes multiplied."""
-        return Ellipse(self.x, self.y, self.a * factor, self.b * factor, self.angle)
+        return Outline(self.x, self.y, self.a * factor, self.b * factor, self.angle)
 
     def local(self, points: Array) -> Array:
         """Return points (..., 2) in the frame of the axes."""
@@ -86,57 +93,21 @@ class Ellipse:
         return float(np.pi * (self.a + self.b) * (1 + 3 * h / (10 + np.sqrt(4 - 3 * h))))
 
 
-def from_moments(mean: Array, covariance: Array) -> Ellipse:
+def from_moments(mean: Array, covariance: Array) -> Outline:
     """Return the ellipse whose filled area has this mean (2,) and covariance (2, 2)."""
     values, vectors = np.linalg.eigh(covariance)
     b, a = 2 * np.sqrt(np.maximum(values, 0))
-    return Ellipse(float(mean[0]), float(mean[1]), float(a), float(b), float(np.arctan2(vectors[1, 1], vectors[0, 1])))
+    return Outline(float(mean[0]), float(mean[1]), float(a), float(b), float(np.arctan2(vectors[1, 1], vectors[0, 1])))
 
 
-def fit(points: Array, weights: Array, start: Ellipse) -> Ellipse | None:
-    """Fit an ellipse to points by least squared Sampson distances, reweighted from a start.
-
-    Parameters
-    ----------
-    points : (N, 2) array
-        Pixels.
-    weights : (N,) array
-        One over the variance across the boundary; 0 leaves a point out.
-    start : Ellipse
-        Gives the frame in which the fit is well conditioned, and the first weights.
-
-    Returns
-    -------
-    Ellipse or None
-        ``None`` if the points do not determine an ellipse.
-    """
-    scale = start.size
-    x, y = ((points - [start.x, start.y]) / scale).T
-    # x^2 + y^2 + p0 (x^2 - y^2) + p1 2xy + p2 x + p3 y + p4 = 0: linear in p, regular at a circle.
-    design = np.stack([x**2 - y**2, 2 * x * y, x, y, np.ones_like(x)], axis=1)
-    squares = x**2 + y**2
-    p = _parameters(start)
-    for _ in range(4):
-        gradient = np.hypot(2 * x * (1 + p[0]) + 2 * y * p[1] + p[2], 2 * y * (1 - p[0]) + 2 * x * p[1] + p[3])
-        root = np.sqrt(weights) / np.maximum(gradient, 1e-6)
-        p, _, rank, _ = np.linalg.lstsq(design * root[:, None], -squares * root, rcond=None)
-        if rank < 5:
-            return None
-    quadratic = np.array([[1 + p[0], p[1]], [p[1], 1 - p[0]]])
-    values, vectors = np.linalg.eigh(quadratic)
-    if values[0] <= 1e-6:
+def fit(points: Array, sigma: Array) -> Outline | None:
+    """Fit an ellipse to points (N, 2) with standard deviations (N,), px; ``None`` if they do not determine one."""
+    if len(points) < 8:  # three more than an ellipse has parameters: else there is no scatter to speak of
         return None
-    centre = -np.linalg.solve(quadratic, p[2:4]) / 2
-    height = centre @ quadratic @ centre - p[4]
-    if height <= 0:
+    found = maximum_likelihood(points, sigma, check=False)
+    if not bool(found.ok):
         return None
-    a, b = np.sqrt(height / values) * scale
-    angle = np.arctan2(vectors[1, 0], vectors[0, 0])
-    return Ellipse(start.x + scale * centre[0], start.y + scale * centre[1], float(a), float(b), float(angle))
-
-
-def _parameters(ellipse: Ellipse) -> Array:
-    """Return the five parameters of `fit` in the ellipse's own scaled frame."""
-    quadratic = ellipse.axes @ np.diag([ellipse.b / ellipse.a, ellipse.a / ellipse.b]) @ ellipse.axes.T
-    half = np.trace(quadratic) / 2
-    return np.array([(quadratic[0, 0] - quadratic[1, 1]) / (2 * half), quadratic[0, 1] / half, 0.0, 0.0, -1 / half])
+    ellipse = found.ellipse
+    x, y = ellipse.centre.tolist()
+    a, b = ellipse.semi_axes.tolist()
+    return Outline(x, y, a, b, float(ellipse.angle))

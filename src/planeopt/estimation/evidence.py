@@ -1,0 +1,178 @@
+"""What is recomputed at a plane, whoever found it: chi-squared, all ten residuals, the second plane, the uncertainty."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+import scipy.stats
+from numpy.typing import NDArray
+
+from planeopt import equations as eq
+from planeopt.closed_form import other_plane
+from planeopt.estimation.rig_part import Sensitivity
+from planeopt.formulations.problem import Problem
+from planeopt.plane import Plane, SpotPose
+from planeopt.solution import OtherPlane, Residual, Uncertainty
+
+Array = NDArray[np.floating]
+
+IMPROBABLE = 1e-6
+"""A chi-squared that a right rig exceeds this rarely is evidence against it."""
+
+DOF = 2
+"""Five image coefficients minus three freedoms of the plane."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How well the plane's ellipse agrees with the measured one, and with the points.
+
+    ``p_value`` is of chi-squared with 2 degrees of freedom, or of its F counterpart where the noise scale was estimated;
+    with a rig covariance the rig's part is in the statistic's covariance. None where no scale is known.
+    """
+
+    chi2: float | None
+    p_value: float | None
+    chi2_points: float | None
+    dof_points: int | None
+
+    @property
+    def improbable(self) -> bool:
+        return self.p_value is not None and not self.p_value >= IMPROBABLE
+
+
+def slope_variables(plane: Array, setup: eq.Setup) -> eq.SlopeVariables:
+    """``(R, z_L, p, q)`` with the R that puts the spot on the beam."""
+    z_L, p, q = (float(value) for value in plane)
+    return eq.SlopeVariables(setup.r * math.sqrt(1 + p**2 + q**2), z_L, p, q)
+
+
+def fit_quality(problem: Problem, plane: Array, effect: Sensitivity | None) -> Fit:
+    """Test the plane's ellipse against the measured one (model section 7) and against the points.
+
+    Parameters
+    ----------
+    problem : Problem
+    plane : (3,)
+        ``(z_L, p, q)`` as in the equations.
+    effect : Sensitivity or None
+        Of the rig at this plane, where the rig has a covariance.
+    """
+    if problem.scale_dof == 0:
+        return Fit(None, None, None, None)
+    v = slope_variables(plane, problem.setup)
+    misfit = np.array(eq.image_residuals_in_slopes(np, v, problem.setup, problem.B))
+    whitened = scipy.linalg.solve(problem.B_factor, misfit)
+    chi2 = float(whitened @ whitened)
+    b = eq.image_conic_in_slopes(np, v, problem.setup)
+    ellipse = np.array(b[1:]) / b[0]
+    if effect is not None and problem.rig is not None and problem.rig.covariance is not None:
+        chi2 -= _discount(effect, problem.rig.covariance.matrix, problem, ellipse)
+    p_value = float(
+        scipy.stats.chi2.sf(chi2, DOF)
+        if problem.scale_dof is None
+        else scipy.stats.f.sf(chi2 / DOF, DOF, problem.scale_dof)
+    )
+    if problem.points is None or problem.scale_dof is not None:
+        return Fit(chi2, p_value, None, None)
+    distances = _whitened_distances(problem, ellipse)[0]
+    return Fit(chi2, p_value, float(distances @ distances), problem.n_points - 3)
+
+
+def _discount(effect: Sensitivity, rig_covariance: Array, problem: Problem, ellipse: Array) -> float:
+    """What the rig's own uncertainty takes off chi-squared: ``t't - t'(I + T Sigma T')^-1 t``.
+
+    In the whitened space of the points' distances the free ellipse spans five directions, the plane three of them. The two
+    left over carry the statistic ``t``, with unit covariance from the spot and ``T Sigma T'`` from the rig.
+    """
+    distances, by_ellipse = _whitened_distances(problem, ellipse)
+    free = np.linalg.qr(by_ellipse)[0]
+    left_over = free @ scipy.linalg.null_space((free.T @ effect.residual_by_plane).T)
+    t, by_rig = left_over.T @ distances, left_over.T @ effect.residual_by_rig
+    total = np.eye(len(t)) + by_rig @ rig_covariance @ by_rig.T
+    return float(t @ t - t @ np.linalg.solve(total, t))
+
+
+def _whitened_distances(problem: Problem, ellipse: Array) -> tuple[Array, Array]:
+    """Sampson distances (N,) of the points over their noise, and their derivative (N, 5) by the coefficients of (16)."""
+    x, y = np.asarray(problem.points).T
+    noise = np.asarray(problem.noise)
+    gradient = np.stack([2 * x + ellipse[0] * y + ellipse[2], ellipse[0] * x + 2 * ellipse[1] * y + ellipse[3]], axis=1)
+    height = np.sqrt(np.einsum("ni,nij,nj->n", gradient, noise, gradient))
+    monomials = np.stack([x * y, y * y, x, y, np.ones_like(x)], axis=1)
+    return eq.eq16(np, ellipse, x, y) / height, monomials / height[:, None]
+
+
+def residuals(problem: Problem, plane: Array) -> tuple[Residual, ...]:
+    """All ten equations at the solution, left minus right, in the paper's variables."""
+    R, z_L, p, q = slope_variables(plane, problem.setup)
+    v = eq.PaperVariables(R, z_L, math.atan(math.hypot(p, q)), math.atan2(-p, q))
+    values = eq.ten_residuals(np, v, problem.setup, problem.B)
+    return tuple(
+        Residual(f"({e.number})", e.name, str(e.block), e.unit, float(value))
+        for e, value in zip(eq.TEN, values, strict=True)
+    )
+
+
+def pose_and_plane(problem: Problem, plane: Array) -> tuple[SpotPose, Plane]:
+    """The paper's pose, with ``z_L`` along the beam, and the plane in the camera frame.
+
+    Without a rig the camera frame is the laser-parallel frame.
+    """
+    z_L, p, q = (float(value) for value in plane)
+    pose = SpotPose.from_slopes(z_L - problem.axial_shift, p, q, problem.setup.r)
+    if problem.rig is not None:
+        return pose, problem.rig.plane_from_pose(pose)
+    return pose, Plane(np.array([-p, -q, 1.0]), np.array([problem.setup.e_x, problem.setup.e_y, z_L]))
+
+
+def second_plane(problem: Problem, plane: Array) -> OtherPlane | None:
+    """The other exact solution of the ten equations, with the reason it is not the answer; None where it is at infinity."""
+    other = other_plane(plane, problem.setup)
+    if not np.isfinite(other).all() or np.max(np.abs(other[1:])) > _EDGE_ON:
+        return None
+    e_x, e_y, r = problem.setup.e_x, problem.setup.e_y, problem.setup.r
+    outside = e_x**2 + e_y**2 > r**2
+    reason = (
+        "the camera would be behind it while the laser is before it: its lit side is not visible (c < 0)"
+        if outside
+        else "its spot would be behind the camera (c < 0)"
+    )
+    pose, in_camera = pose_and_plane(problem, other)
+    return OtherPlane(pose, in_camera, reason)
+
+
+_EDGE_ON = 1e9
+"""Slopes beyond which a plane is parallel to the beam to double precision."""
+
+
+def uncertainty(problem: Problem, plane: Array, spot: Array, effect: Sensitivity | None) -> Uncertainty:
+    """Split covariances of ``(z_L, p, q)`` and of the normal in the camera frame.
+
+    Parameters
+    ----------
+    problem : Problem
+    plane : (3,)
+    spot : (3, 3)
+        Covariance of ``(z_L, p, q)`` from the boundary points.
+    effect : Sensitivity or None
+        Of the rig at this plane.
+    """
+    by_slopes = _normal_by_slopes(plane)
+    if problem.rig is not None:
+        by_slopes = problem.rig.Q.T @ by_slopes
+    normal_spot = by_slopes @ spot[1:, 1:] @ by_slopes.T
+    if effect is None or problem.rig is None or problem.rig.covariance is None:
+        return Uncertainty(spot, np.zeros((3, 3)), normal_spot, np.zeros((3, 3)))
+    sigma = problem.rig.covariance.matrix
+    rig = effect.plane_by_rig @ sigma @ effect.plane_by_rig.T
+    return Uncertainty(spot, rig, normal_spot, effect.normal_by_rig @ sigma @ effect.normal_by_rig.T)
+
+
+def _normal_by_slopes(plane: Array) -> Array:
+    """Derivative (3, 2) of the unit normal ``(-p, -q, 1)/|.|`` in the laser-parallel frame by ``(p, q)``."""
+    _, p, q = plane
+    length = math.sqrt(1 + p**2 + q**2)
+    normal = np.array([-p, -q, 1.0]) / length
+    return (np.array([[-1.0, 0.0], [0.0, -1.0], [0.0, 0.0]]) - np.outer(normal, [p, q]) / length) / length

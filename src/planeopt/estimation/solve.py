@@ -1,0 +1,214 @@
+"""One spot, one rig, one formulation, one solver: the plane, or the reason why not."""
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.stats
+from numpy.typing import NDArray
+
+from planeopt.estimation import evidence, starts
+from planeopt.estimation.rig_part import sensitivity
+from planeopt.formulations import Constrained, DirectAnswer, Formulation, Problem, Refusal, Start, identify
+from planeopt.rig import Rig
+from planeopt.solution import Flag, Identifiability, Solution, SolveError, Status
+from planeopt.solvers import Found, Ipopt, Solver
+from planeopt.solvers.kkt import plane_covariance
+from planeopt.spot import Spot
+
+Array = NDArray[np.floating]
+
+# model.md: beyond these the first-order intervals were measured to be too short, R, alpha and beta earlier than the slopes.
+WEAK_SLOPE_SIGMA = 0.2
+NONLINEAR_ANGLE_SHARE = 0.1
+SHORT_ARC = 1 / 3
+
+
+def solve(
+    spot: Spot,
+    rig: Rig,
+    *,
+    formulation: Formulation | None = None,
+    solver: Solver | None = None,
+    start: starts.StartLike | None = None,
+    restart: bool = True,
+    throw: bool = False,
+) -> Solution:
+    """Find the plane that a spot lies on.
+
+    Parameters
+    ----------
+    spot : Spot
+        Boundary points in raw pixels, from `find_spot` or `read_points`.
+    rig : Rig
+        With a beam.
+    formulation : Formulation, optional
+        `Constrained()` unless given.
+    solver : Solver, optional
+        `Ipopt()` unless given; not used by direct formulations.
+    start : SpotPose or (R, z_L, alpha, beta), optional
+        mm and rad; the closed form unless given.
+    restart : bool
+        Whether a search that fails, or whose chi-squared is beyond its 1e-6 quantile, is repeated from the closed form.
+    throw : bool
+        Raise `SolveError`, carrying the solution, where no defensible plane was found; otherwise it is returned with its
+        status.
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    InputError
+        If spot, rig or start cannot be used.
+    SolveError
+        With ``throw``, for a status whose record is ``refused``.
+    """
+    problem = Problem.from_spot(spot, rig)
+    found = solve_problem(problem, formulation=formulation, solver=solver, start=start, restart=restart, throw=False)
+    solution = replace(found, flags=(*spot.flags, *found.flags))
+    if throw and solution.status.record == "refused":
+        raise SolveError(solution)
+    return solution
+
+
+def solve_problem(
+    problem: Problem,
+    *,
+    formulation: Formulation | None = None,
+    solver: Solver | None = None,
+    start: starts.StartLike | None = None,
+    restart: bool = True,
+    throw: bool = False,
+) -> Solution:
+    """As `solve`, from a `Problem`: points or an ellipse on the laser-parallel image plane, in mm."""
+    formulation = Constrained() if formulation is None else formulation
+    solver = Ipopt() if solver is None else solver
+    first = starts.from_closed_form(problem) if start is None else starts.given(start, problem)
+    solution = _attempt(problem, formulation, solver, first)
+    if restart and start is not None and _failed(solution):
+        again = _attempt(problem, formulation, solver, starts.from_closed_form(problem))
+        solution = replace(again, effort=solution.effort + again.effort, flags=(*again.flags, Flag.RESTARTED))
+    if throw and solution.status.record == "refused":
+        raise SolveError(solution)
+    return solution
+
+
+def _failed(solution: Solution) -> bool:
+    return solution.status in (Status.INCONSISTENT, Status.INFEASIBLE, Status.NOT_CONVERGED, Status.AT_BOUND)
+
+
+def _attempt(problem: Problem, formulation: Formulation, solver: Solver, start: Start) -> Solution:
+    identifiability = identify(problem, start)
+    blank = Solution(
+        Status.NOT_CONVERGED,
+        "",
+        formulation.name,
+        solver.name,
+        radius=problem.setup.r,
+        identifiability=identifiability,
+        n_points=problem.n_points,
+        arc_fraction=problem.arc,
+        flags=problem.flags,
+    )
+    if identifiability.null_vector is not None:
+        return _refused(blank, Status.UNIDENTIFIABLE, f"{Status.UNIDENTIFIABLE.value} {identifiability.null_vector}.")
+    built = formulation.build(problem, start)
+    if isinstance(built, Refusal):
+        return replace(_refused(blank, built.status, built.message), solver="none")
+    if isinstance(built, DirectAnswer):
+        reason = None if built.covariance is not None else "the closed form is singular here"
+        return _judged(replace(blank, solver="none"), problem, built.plane, built.covariance, reason)
+    return _searched(blank, problem, solver.solve(built))
+
+
+def _searched(blank: Solution, problem: Problem, found: Found) -> Solution:
+    solution = replace(blank, effort=found.effort, trace=found.trace, kkt=found.kkt)
+    if found.refused is not None:
+        message = f"{found.refused}; {_sentence(blank.identifiability)}. Use Swift, which penalises them."
+        return replace(_refused(solution, Status.OVERDETERMINED, message), kkt=None)
+    plane = found.nlp.plane(found.x)
+    if not np.isfinite(plane).all() or not found.kkt.feasible:
+        return _refused(solution, Status.INFEASIBLE, f"{Status.INFEASIBLE.value} {_worst_row(found)}")
+    if not found.kkt.ok:
+        left = f"A Newton step {found.kkt.step:.1e} times what counts as none is left ({solution.solver}: {found.report})."
+        return _refused(solution, Status.NOT_CONVERGED, f"{Status.NOT_CONVERGED.value} {left}")
+    covariance, reason = plane_covariance(found.nlp, found.x)
+    return _judged(solution, problem, plane, covariance, reason)
+
+
+def _sentence(identifiability: Identifiability | None) -> str:
+    return "" if identifiability is None else identifiability.sentence
+
+
+def _worst_row(found: Found) -> str:
+    """Name the equation that is violated most, by how much, in its own unit."""
+    nlp = found.nlp
+    g = np.asarray(nlp.model.values(found.x, nlp.parameters)[1]).ravel()
+    violation = np.where(nlp.model.equalities, np.abs(g), np.maximum(-g, 0.0))
+    if not len(violation) or not np.isfinite(violation).all():
+        return f"Its functions are not finite there ({found.report})."
+    worst = int(np.argmax(violation))
+    equation, size = nlp.model.rows[worst].equation, violation[worst] * nlp.row_scale[worst]
+    return f"{equation} is off by {size:.3g} {equation.unit} ({found.report})."
+
+
+def _refused(solution: Solution, status: Status, message: str) -> Solution:
+    return replace(solution, status=status, message=message)
+
+
+def _judged(solution: Solution, problem: Problem, plane: Array, covariance: Array | None, reason: str | None) -> Solution:
+    """Everything that is recomputed at a plane, and the status that follows from it."""
+    rig = problem.rig
+    effect = None
+    if rig is not None and rig.covariance is not None and problem.scale_dof != 0:
+        effect = sensitivity(problem, rig, plane)
+    fit = evidence.fit_quality(problem, plane, effect)
+    pose, in_camera = evidence.pose_and_plane(problem, plane)
+    known = covariance if problem.scale_dof != 0 else None
+    reason = reason if problem.scale_dof != 0 else Status.NO_NOISE_SCALE.value
+    judged = replace(
+        solution,
+        pose=pose,
+        plane=in_camera,
+        uncertainty=None if known is None else evidence.uncertainty(problem, plane, known, effect),
+        uncertainty_reason=reason,
+        chi2=fit.chi2,
+        p_value=fit.p_value,
+        chi2_points=fit.chi2_points,
+        dof_points=fit.dof_points,
+        other_plane=evidence.second_plane(problem, plane),
+        residuals=evidence.residuals(problem, plane),
+    )
+    status, message = _verdict(problem, judged, fit, reason)
+    return replace(judged, status=status, message=message, flags=(*judged.flags, *_reservations(problem, judged, fit)))
+
+
+def _verdict(problem: Problem, solution: Solution, fit: evidence.Fit, reason: str | None) -> tuple[Status, str]:
+    if problem.scale_dof == 0:
+        return Status.NO_NOISE_SCALE, Status.NO_NOISE_SCALE.value
+    if fit.improbable:
+        numbers = f"chi-squared {fit.chi2:.4g} with {evidence.DOF} degrees of freedom, p = {fit.p_value:.1e}"
+        return Status.INCONSISTENT, f"{Status.INCONSISTENT.value} ({numbers})"
+    if solution.uncertainty is None:
+        return Status.AT_BOUND, f"{Status.AT_BOUND.value} No covariance: {reason}."
+    return Status.CONVERGED, Status.CONVERGED.value
+
+
+def _reservations(problem: Problem, solution: Solution, fit: evidence.Fit) -> list[Flag]:
+    flags = []
+    pose = solution.pose
+    if pose is not None and pose.beta is None:
+        flags.append(Flag.BETA_UNDEFINED)
+    covariance = solution.covariance
+    if covariance is not None and pose is not None:
+        slope_sigma = float(np.sqrt(np.max(np.linalg.eigvalsh(covariance[1:, 1:]))))
+        if slope_sigma > WEAK_SLOPE_SIGMA:
+            flags.append(Flag.WEAK)
+        elif pose.beta is not None and slope_sigma > NONLINEAR_ANGLE_SHARE * np.tan(pose.alpha):
+            flags.append(Flag.ANGLES_NONLINEAR)
+    if problem.arc is not None and problem.arc < SHORT_ARC:
+        flags.append(Flag.SHORT_ARC)
+    if fit.chi2_points is not None and scipy.stats.chi2.sf(fit.chi2_points, fit.dof_points) < evidence.IMPROBABLE:
+        flags.append(Flag.POINTS_SCATTER)
+    return flags

@@ -1,0 +1,30 @@
+"""Bounds and sizes of the pose's unknowns, the same for every formulation, so that comparisons are fair."""
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.floating]
+Variables = Literal["slopes", "paper"]
+
+# A plane seen more edge-on than this shows no ellipse that a camera could measure; without finite bounds a search can
+# run to infinity along directions that the image hardly sees.
+STEEPEST = np.radians(89.9)
+FARTHEST = 1e6
+"""Depth bound in beam radii."""
+TURNS = 20 * np.pi
+"""The paper's beta is periodic: room for a search that turns, folded back to canonical angles afterwards."""
+
+
+def pose_bounds(variables: Variables, r: float) -> tuple[Array, Array]:
+    """Lower and upper bounds of ``(R, z_L, p, q)`` or ``(R, z_L, alpha, beta)``; mm, rad."""
+    longest, slope = r / np.cos(STEEPEST), np.tan(STEEPEST)
+    if variables == "slopes":
+        return np.array([0.0, 0.0, -slope, -slope]), np.array([longest, FARTHEST * r, slope, slope])
+    return np.array([0.0, 0.0, -STEEPEST, -TURNS]), np.array([longest, FARTHEST * r, STEEPEST, TURNS])
+
+
+def pose_scale(r: float, z_L: float) -> Array:
+    """Typical sizes of the four unknowns in either set, for checks that compare with 1."""
+    return np.array([r, abs(z_L), 1.0, 1.0])

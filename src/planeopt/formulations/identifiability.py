@@ -1,0 +1,95 @@
+"""Counts and ranks before a solve: what the ten equations really fix, and which of them repeat the others."""
+
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from planeopt import equations as eq
+from planeopt.formulations.base import Start
+from planeopt.formulations.bounds import pose_scale
+from planeopt.formulations.problem import Problem
+from planeopt.solution import Identifiability
+
+Array = NDArray[np.floating]
+
+RANK_TOLERANCE = 1e-9
+"""Relative to the largest singular value of rows and columns scaled to order 1: far above rounding, far below data."""
+
+
+def identify(problem: Problem, start: Start) -> Identifiability:
+    """Ranks of the ten equations at the start (moved onto the laser constraint) and singular values of the independent ones.
+
+    Parameters
+    ----------
+    problem : Problem
+    start : Start
+        Where the Jacobians are evaluated; any feasible plane shows the same ranks.
+    """
+    z_L, p, q = start.plane
+    r = problem.setup.r
+    alpha = np.arctan(np.hypot(p, q))
+    paper = np.array([r / np.cos(alpha), z_L, alpha, start.beta])
+    slopes = np.array([r * np.sqrt(1 + p**2 + q**2), z_L, p, q])
+    columns = pose_scale(r, z_L)
+    lengths = {"1": 1.0, "mm": r, "mm^2": r**2}
+    row_scale = np.array([lengths[e.unit] for e in eq.LASER_BLOCK] + list(problem.natural_B))
+    ten = np.asarray(_ten_jacobian()(paper, np.concatenate([problem.setup, problem.B]))) * columns / row_scale[:, None]
+    laser, image = ten[:5], ten[5:]
+    independent = np.asarray(_independent_jacobian()(slopes, np.concatenate([problem.setup, problem.B]))) * columns
+    independent[0] /= r**2
+    # Whitened by the covariance of B, the image rows are comparable with each other; the largest sets the unit.
+    independent[1:] = scipy.linalg.solve(problem.B_factor, independent[1:])
+    independent[1:] /= max(float(np.linalg.norm(independent[1:])), np.finfo(float).tiny)
+    values, right = np.linalg.svd(independent)[1:]
+    deficient = values[-1] <= 1e-3 * RANK_TOLERANCE * values[0]
+    return Identifiability(
+        len(eq.TEN),
+        4,
+        _rank(ten),
+        _rank(laser),
+        _rank(image),
+        tuple(float(value) for value in values),
+        _dependent(laser),
+        _in_words(right[-1] * columns) if deficient else None,
+    )
+
+
+def _rank(matrix: Array) -> int:
+    values = np.linalg.svd(matrix, compute_uv=False)
+    return int(np.sum(values > RANK_TOLERANCE * values[0])) if values[0] > 0 else 0
+
+
+def _dependent(laser: Array) -> tuple[str, ...]:
+    """Rows of the laser block beyond its rank, by pivoted QR; the pivots are kept."""
+    order = scipy.linalg.qr(laser.T, mode="r", pivoting=True)[1]
+    return tuple(f"({eq.LASER_BLOCK[i].number})" for i in sorted(order[_rank(laser) :]))
+
+
+def _in_words(direction: Array) -> str:
+    direction = direction / np.max(np.abs(direction))
+    parts = [
+        f"{value:+.3g} {name}"
+        for name, value in zip(("R", "z_L", "p", "q"), direction, strict=True)
+        if abs(value) > 1e-3
+    ]
+    return f"moving along {', '.join(parts)} (mm, mm, 1, 1) changes no equation"
+
+
+@cache
+def _ten_jacobian() -> ca.Function:
+    x, p = ca.SX.sym("x", 4), ca.SX.sym("p", 9)
+    rows = eq.ten_residuals(
+        ca, eq.PaperVariables(*ca.vertsplit(x)), eq.Setup(*ca.vertsplit(p[:4])), ca.vertsplit(p[4:])
+    )
+    return ca.Function("ten", [x, p], [ca.densify(ca.jacobian(ca.vertcat(*rows), x))])
+
+
+@cache
+def _independent_jacobian() -> ca.Function:
+    x, p = ca.SX.sym("x", 4), ca.SX.sym("p", 9)
+    v, k = eq.SlopeVariables(*ca.vertsplit(x)), eq.Setup(*ca.vertsplit(p[:4]))
+    rows = [eq.laser_constraint_in_slopes(ca, v, k), *eq.image_residuals_in_slopes(ca, v, k, ca.vertsplit(p[4:]))]
+    return ca.Function("independent", [x, p], [ca.densify(ca.jacobian(ca.vertcat(*rows), x))])

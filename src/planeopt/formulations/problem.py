@@ -1,0 +1,186 @@
+"""One case to solve: the boundary points or their ellipse, the rig in the laser-parallel frame, and the noise."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planeopt.conic import ConicFit, arc_fraction, fit_conic, geometric_from_conic
+from planeopt.equations import Setup
+from planeopt.errors import InputError
+from planeopt.rig import Rig
+from planeopt.solution import Flag
+from planeopt.spot import Spot
+
+Array = NDArray[np.floating]
+
+NOISE_FLOOR = 1e-9
+"""Smallest noise standard deviation, as a fraction of the ellipse's RMS radius.
+
+A double-precision image coordinate is rounded at about 1e-13 of that radius or more; below the floor the residuals of exact
+points are rounding, not noise, and weighting by them would make the tests of the solution meaningless.
+"""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Everything a formulation may use.
+
+    Attributes
+    ----------
+    setup : Setup
+        ``f, e_x, e_y, r`` of the laser-parallel frame, mm.
+    B : (5,)
+        Coefficients of (16).
+    B_factor : (5, 5)
+        ``S`` with ``S S'`` the covariance of ``B``.
+    points : (N, 2) or None
+        Boundary points on the laser-parallel image plane, mm; None where only an ellipse is known.
+    noise : (N, 2, 2) or None
+        Their covariances, mm^2, the estimated scale included.
+    scale_dof : int or None
+        Degrees of freedom behind an estimated noise scale; None where sigma was given, 0 where it cannot be estimated.
+    arc : float or None
+        Covered fraction of the ellipse.
+    rig : Rig or None
+        Where the points came from; None for points given in mm.
+    pixels : (N, 2) or None
+        The points before undistortion.
+    flags : tuple of Flag
+    """
+
+    setup: Setup
+    B: Array
+    B_factor: Array
+    points: Array | None = None
+    noise: Array | None = None
+    scale_dof: int | None = None
+    arc: float | None = None
+    rig: Rig | None = None
+    pixels: Array | None = None
+    flags: tuple[Flag, ...] = ()
+
+    @classmethod
+    def from_spot(cls, spot: Spot, rig: Rig) -> "Problem":
+        """Carry the spot's boundary points, and their noise, to the laser-parallel image plane and fit (16) there.
+
+        Raises
+        ------
+        InputError
+            If the rig has no beam, or the points determine no ellipse.
+        """
+        beam = rig.require_beam()
+        e_x, e_y = rig.laser_offset
+        points, jacobian = rig.to_laser_plane(spot.points)
+        sigma = np.ones(len(points)) if spot.sigma is None else spot.sigma
+        noise = (jacobian @ np.swapaxes(jacobian, 1, 2)) * (sigma**2)[:, None, None]
+        setup = Setup(rig.focal_length, e_x, e_y, beam.radius)
+        problem = cls.from_points(points, setup, noise, scale_known=spot.sigma is not None)
+        flags = problem.flags if rig.covariance is not None else (*problem.flags, Flag.RIG_WITHOUT_COVARIANCE)
+        return replace(problem, rig=rig, pixels=np.asarray(spot.points, dtype=float), flags=flags)
+
+    @classmethod
+    def from_points(
+        cls, points: ArrayLike, setup: Setup, noise: ArrayLike | None = None, *, scale_known: bool = True
+    ) -> "Problem":
+        """Boundary points on the laser-parallel image plane.
+
+        Parameters
+        ----------
+        points : (N, 2)
+            mm.
+        setup : Setup
+        noise : float, (N,) or (N, 2, 2), optional
+            Standard deviation (mm) for all or each, or covariances (mm^2). Left out: equal, with an unknown scale.
+        scale_known : bool
+            False where ``noise`` is right only up to a common factor, to be estimated from the residuals.
+
+        Raises
+        ------
+        InputError
+            If the points determine no ellipse.
+        """
+        xy = np.asarray(points, dtype=float)
+        known = scale_known and noise is not None
+        covariances = _covariances(len(xy), 1.0 if noise is None else noise)
+        fit = fit_conic(xy, covariances)
+        flags: list[Flag] = []
+        scale2, scale_dof = 1.0, None
+        if not known:
+            flags.append(Flag.SCALE_ESTIMATED)
+            scale_dof = len(xy) - 5
+            scale2 = float(fit.chi2) / scale_dof if scale_dof else 1.0
+        floor2 = _floor(fit) ** 2 / np.median(np.trace(covariances, axis1=1, axis2=2) / 2)
+        if scale2 < floor2:
+            flags.append(Flag.SCALE_AT_FLOOR)
+            scale2 = float(floor2)
+        factor = _factor(fit) * np.sqrt(scale2)
+        return cls(
+            setup,
+            np.asarray(fit.B, dtype=float),
+            factor,
+            xy,
+            covariances * scale2,
+            scale_dof,
+            float(arc_fraction(fit.B, xy)),
+            flags=tuple(flags),
+        )
+
+    @classmethod
+    def from_conic(cls, B: ArrayLike, covariance: ArrayLike, setup: Setup) -> "Problem":
+        """Only the ellipse (16) with the covariance of its coefficients (5, 5).
+
+        Raises
+        ------
+        InputError
+            If ``B`` is not finite or the covariance is not positive definite.
+        """
+        coefficients, sigma = np.asarray(B, dtype=float), np.asarray(covariance, dtype=float)
+        if coefficients.shape != (5,) or sigma.shape != (5, 5):
+            raise InputError(f"B must be (5,) and its covariance (5, 5), not {coefficients.shape} and {sigma.shape}")
+        if not (np.isfinite(coefficients).all() and np.isfinite(sigma).all()):
+            raise InputError("B and its covariance must be finite")
+        scale = np.sqrt(np.abs(np.diag(sigma)))
+        try:
+            factor = scale[:, None] * np.linalg.cholesky(sigma / np.outer(scale, scale))
+        except np.linalg.LinAlgError as error:
+            raise InputError("the covariance of B is not positive definite") from error
+        return cls(setup, coefficients, factor)
+
+    @property
+    def n_points(self) -> int:
+        return 0 if self.points is None else len(self.points)
+
+    @property
+    def axial_shift(self) -> float:
+        """(Q e)_z: what the spot centre's z has over the distance along the beam; 0 without a rig."""
+        return 0.0 if self.rig is None else self.rig.axial_shift
+
+    @cached_property
+    def semi_axes(self) -> Array:
+        """Semi-axes of the image ellipse, mm, the longer first."""
+        return np.sort(np.asarray(geometric_from_conic(self.B).semi_axes))[::-1]
+
+    @cached_property
+    def natural_B(self) -> Array:
+        """Sizes of B_1 ... B_5 of an ellipse as far from the origin as this one: 1, 1, L, L, L^2."""
+        ellipse = geometric_from_conic(self.B)
+        length = float(np.hypot(*ellipse.centre) + np.max(ellipse.semi_axes))
+        return np.array([1.0, 1.0, length, length, length**2])
+
+
+def _covariances(n: int, noise: ArrayLike) -> Array:
+    sigma = np.asarray(noise, dtype=float)
+    if sigma.ndim == 3:
+        return sigma
+    return np.broadcast_to(sigma, (n,))[:, None, None] ** 2 * np.eye(2)
+
+
+def _floor(fit: ConicFit) -> float:
+    return NOISE_FLOOR * float(np.sqrt(np.mean(np.square(geometric_from_conic(fit.B).semi_axes))))
+
+
+def _factor(fit: ConicFit) -> Array:
+    """S of the fit for unit noise scale."""
+    return np.asarray(fit.sqrt_covariance, dtype=float)

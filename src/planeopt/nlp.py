@@ -1,0 +1,172 @@
+"""A nonlinear programme as data: symbolic once (`Model`), with the numbers of one case (`Nlp`).
+
+A solver sees only this. Rows carry the paper's equation numbers, so that every message about a residual names its equation.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import scipy.sparse
+from numpy.typing import NDArray
+
+from planeopt.equations import Equation, eq29
+
+Array = NDArray[np.floating]
+Symbol = Any
+"""`casadi.SX` or `casadi.MX`."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A constraint row: which equation it is, and whether it is ``= 0`` or ``>= 0``."""
+
+    equation: Equation
+    equality: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A programme in symbols: built once per formulation, its compiled functions and solvers cached on it.
+
+    Attributes
+    ----------
+    name : str
+    variables : tuple of str
+    x, p : casadi symbols, columns
+        Unknowns, and parameters (the data of a case enter only here).
+    objective, constraints : casadi expressions
+        Scalar, and a column with one entry a row in ``rows``.
+    rows : tuple of Row
+    plane : casadi expression
+        ``(z_L, p, q)`` of the laser-parallel frame as a function of ``x`` (and of ``p``, where units are parameters).
+    data : slice
+        Which parameters are measured, so that the covariance can be carried through the KKT conditions.
+    """
+
+    name: str
+    variables: tuple[str, ...]
+    x: Symbol
+    p: Symbol
+    objective: Symbol
+    constraints: Symbol
+    rows: tuple[Row, ...]
+    plane: Symbol
+    data: slice
+
+    @cached_property
+    def values(self) -> ca.Function:
+        """``(x, p) -> f, g``."""
+        return ca.Function("values", [self.x, self.p], [self.objective, self.constraints])
+
+    @cached_property
+    def first_order(self) -> ca.Function:
+        """``(x, p) -> f, grad f, g, dg/dx``."""
+        gradient = ca.gradient(self.objective, self.x)
+        jacobian = ca.jacobian(self.constraints, self.x)
+        return ca.Function("first", [self.x, self.p], [self.objective, gradient, self.constraints, jacobian])
+
+    @cached_property
+    def second_order(self) -> ca.Function:
+        """``(x, p, multipliers) -> Hessian of the Lagrangian, d(its gradient)/d data, dg/d data``; data = measured ``p``."""
+        multipliers = type(self.x).sym("multipliers", self.constraints.shape[0])
+        lagrangian = self.objective + ca.dot(multipliers, self.constraints)
+        gradient = ca.gradient(lagrangian, self.x)
+        return ca.Function(
+            "second",
+            [self.x, self.p, multipliers],
+            [
+                ca.jacobian(gradient, self.x),
+                ca.jacobian(gradient, self.p)[:, self.data],
+                ca.jacobian(self.constraints, self.p)[:, self.data],
+            ],
+        )
+
+    @cached_property
+    def plane_and_jacobian(self) -> ca.Function:
+        """``(x, p) -> (z_L, p, q), d(z_L, p, q)/dx``."""
+        return ca.Function("plane", [self.x, self.p], [self.plane, ca.jacobian(self.plane, self.x)])
+
+    @cached_property
+    def penalised(self) -> "Model":
+        """The same programme with its equalities moved into the objective by (29); the weight is one more parameter."""
+        weight = type(self.p).sym("weight")
+        equal = [i for i, row in enumerate(self.rows) if row.equality]
+        other = [i for i, row in enumerate(self.rows) if not row.equality]
+        residuals = [self.constraints[i] for i in equal]
+        return Model(
+            f"{self.name}_penalised",
+            self.variables,
+            self.x,
+            ca.vertcat(self.p, weight),
+            eq29(ca, self.objective, residuals, weight),
+            self.constraints[other],
+            tuple(self.rows[i] for i in other),
+            self.plane,
+            self.data,
+        )
+
+    @property
+    def equalities(self) -> NDArray[np.bool_]:
+        return np.array([row.equality for row in self.rows], dtype=bool)
+
+
+PHYSICAL = 1e-9
+"""Resolution of a physical unknown, as a share of its size."""
+
+WHITENED = 1e-6
+"""Resolution of an unknown measured in standard deviations."""
+
+
+@dataclass(frozen=True)
+class Nlp:
+    """A `Model` with the numbers of one case.
+
+    Attributes
+    ----------
+    model : Model
+    stages : tuple of (n_p,)
+        Parameter vectors to solve one after another, each from the last one's answer; the last one is the programme.
+    start, lower, upper : (n_x,)
+    x_scale : (n_x,)
+        Typical size of the unknowns, for checks that compare with 1.
+    row_scale : (n_g,)
+        What a row's value of 1 means in its equation's unit.
+    data_factor : (n_data, m), dense or sparse
+        ``S`` with ``S S'`` the covariance of the measured parameters.
+    resolution : (n_x,)
+        What counts as no change of an unknown: of a physical one a billionth of its size, of a whitened one (slack in
+        standard deviations, say) a millionth. Both are far above rounding and far below what data can tell.
+    """
+
+    model: Model
+    stages: tuple[Array, ...]
+    start: Array
+    lower: Array
+    upper: Array
+    x_scale: Array
+    row_scale: Array
+    data_factor: Array | scipy.sparse.csr_array
+    resolution: Array
+
+    @property
+    def parameters(self) -> Array:
+        return self.stages[-1]
+
+    def penalised(self, weight: float) -> "Nlp":
+        """Only the last stage, with the equalities in the objective at a weight."""
+        keep = ~self.model.equalities
+        parameters = np.append(self.parameters, weight)
+        return replace(self, model=self.model.penalised, stages=(parameters,), row_scale=self.row_scale[keep])
+
+    @property
+    def row_bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds of the rows: 0 and 0 for an equality, 0 and infinity otherwise."""
+        n = len(self.model.rows)
+        return np.zeros(n), np.where(self.model.equalities, 0.0, np.inf)
+
+    def plane(self, x: Array) -> Array:
+        """``(z_L, p, q)`` of the laser-parallel frame at ``x``."""
+        return np.asarray(self.model.plane_and_jacobian(x, self.parameters)[0]).ravel()

@@ -1,0 +1,323 @@
+"""What a solve returns: a status that is a sentence, the plane with its covariance, the evidence, and the path to it."""
+
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planeopt.plane import Plane, SpotPose
+
+Array = NDArray[np.floating]
+
+
+class Status(Enum):
+    """How a solve ended; the value is the sentence a user reads."""
+
+    CONVERGED = "The plane was found; image and rig agree."
+    INCONSISTENT = (
+        "The best plane does not explain the image ellipse: chi-squared is beyond its 1e-6 quantile, so the rig, the "
+        "boundary points or their sigma are wrong."
+    )
+    NO_NOISE_SCALE = "The plane was found, but five points leave nothing to estimate their noise from: give sigma_px."
+    UNIDENTIFIABLE = "The equations do not fix the plane: their Jacobian is rank deficient."
+    OVERDETERMINED = "There are more equations than unknowns: as hard constraints no solver can take them."
+    NO_PLANE = "No plane before the camera, lit on the side it sees, has a spot with this image ellipse."
+    INFEASIBLE = "The solver stopped where the constraints do not hold."
+    NOT_CONVERGED = "The solver stopped before it reached a minimum."
+    AT_BOUND = "The solution lies on the edge of what can be seen, where the plane is not determined from both sides."
+
+    @property
+    def record(self) -> str:
+        """Status of a pose record: ``ok``, ``degraded`` (a pose, with a reservation) or ``refused`` (no pose)."""
+        if self is Status.CONVERGED:
+            return "ok"
+        return "degraded" if self in (Status.INCONSISTENT, Status.NO_NOISE_SCALE, Status.AT_BOUND) else "refused"
+
+
+class Flag(Enum):
+    """A reservation about a result that is no failure; the value is the sentence a user reads."""
+
+    SCALE_ESTIMATED = "No sigma was given: the noise scale is estimated from the residuals of the ellipse fit."
+    SCALE_AT_FLOOR = "The residuals are at rounding level: the noise scale is set to a floor, intervals are nominal."
+    RESTARTED = "The first solution failed the chi-squared test or did not converge: solved again from the closed form."
+    BETA_UNDEFINED = "alpha is 0: beta means nothing, read the normal."
+    ANGLES_NONLINEAR = "The slopes' standard deviation is over a tenth of tan(alpha): first-order sigmas of alpha, beta and R are rough."
+    WEAK = "The slopes' standard deviation is over 0.2: first-order intervals are too short, use a posterior."
+    SHORT_ARC = "Under a third of the ellipse is covered by points: intervals of first order are rough."
+    POINTS_SCATTER = "The points scatter about the plane's ellipse by more or less than their sigma says (p < 1e-6)."
+    RIG_WITHOUT_COVARIANCE = "The rig file has no covariance: sigma is the spot's part only."
+
+
+@dataclass(frozen=True)
+class Residual:
+    """One of the ten equations, evaluated again at the solution: left minus right, in ``unit``."""
+
+    equation: str
+    name: str
+    block: str
+    unit: str
+    value: float
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """Counts and ranks before a solve, at the start, rows scaled by their noise and columns by the size of the unknowns.
+
+    Attributes
+    ----------
+    n_equations, n_unknowns : int
+        As the paper counts: 10 and 4.
+    rank, laser_rank, image_rank : int
+        Of the ten rows, of (11)-(15), and of (17)-(21).
+    singular_values : tuple of float
+        Of the independent system (the one laser equation and the image block) in ``(R, z_L, p, q)``, largest first.
+    dependent_rows : tuple of str
+        Laser equations that repeat another one, by number.
+    null_vector : str or None
+        In words, where the independent system is rank deficient.
+    """
+
+    n_equations: int
+    n_unknowns: int
+    rank: int
+    laser_rank: int
+    image_rank: int
+    singular_values: tuple[float, ...]
+    dependent_rows: tuple[str, ...]
+    null_vector: str | None = None
+
+    @property
+    def sentence(self) -> str:
+        rows = f"; {', '.join(self.dependent_rows)} repeat the others" if self.dependent_rows else ""
+        return (
+            f"{self.n_equations} equations, {self.n_unknowns} unknowns, laser block rank {self.laser_rank}, "
+            f"image block rank {self.image_rank}, together rank {self.rank}{rows}"
+        )
+
+
+FEASIBLE = 1e-6
+"""Largest violation of a constraint, in units of its scale, at a solution."""
+
+DUAL = 1e-6
+"""Largest multiplier with the wrong sign, over the size of the multipliers, at a solution."""
+
+
+@dataclass(frozen=True)
+class KktCheck:
+    """Optimality as recomputed here, not as the solver reports it.
+
+    Attributes
+    ----------
+    feasibility : float
+        Largest violation of a row or bound over its scale.
+    step : float
+        Largest component of the Newton step to the nearest KKT point, in units of what counts as no change.
+    dual : float
+        Largest inequality multiplier with the wrong sign over the size of the multipliers.
+    """
+
+    feasibility: float
+    step: float
+    dual: float
+
+    @property
+    def feasible(self) -> bool:
+        return self.feasibility <= FEASIBLE
+
+    @property
+    def ok(self) -> bool:
+        return self.feasible and self.step <= 1 and self.dual <= DUAL
+
+
+@dataclass(frozen=True)
+class Trace:
+    """The path of a search, one row an iteration; ``x`` only where the solver was asked to record it.
+
+    Attributes
+    ----------
+    objective, infeasibility : (n,)
+        As the solver saw them, in the scaled units of its stage.
+    stage : (n,) of int
+        Which stage (weight) the iteration belongs to.
+    x : (n, n_x) or None
+        Iterates, in the formulation's variables.
+    """
+
+    objective: Array
+    infeasibility: Array
+    stage: NDArray[np.integer]
+    x: Array | None = None
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What a solve cost: counts, and seconds for building (nothing when cached) and for solving."""
+
+    iterations: int = 0
+    evaluations: int = 0
+    derivative_evaluations: int = 0
+    build_s: float = 0.0
+    solve_s: float = 0.0
+
+    def __add__(self, more: "Effort") -> "Effort":
+        return Effort(
+            self.iterations + more.iterations,
+            self.evaluations + more.evaluations,
+            self.derivative_evaluations + more.derivative_evaluations,
+            self.build_s + more.build_s,
+            self.solve_s + more.solve_s,
+        )
+
+
+@dataclass(frozen=True)
+class OtherPlane:
+    """The second exact solution of the ten equations, and why it was excluded."""
+
+    pose: SpotPose
+    plane: Plane
+    reason: str
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Covariances of first order, split into what the spot and what the rig contributes.
+
+    Attributes
+    ----------
+    spot, rig : (3, 3)
+        Of ``(z_L, p, q)``; ``rig`` is zero where the rig has no covariance.
+    normal_spot, normal_rig : (3, 3)
+        Of the unit normal in the camera frame; the rig's part includes the beam direction's turn of the frame.
+    """
+
+    spot: Array
+    rig: Array
+    normal_spot: Array
+    normal_rig: Array
+
+
+@dataclass(frozen=True)
+class Sigmas:
+    """Standard deviations: mm and rad; an angle's is None where it has no first-order value (``alpha = 0``)."""
+
+    z_L: float
+    alpha: float | None
+    beta: float | None
+    R: float | None
+    normal: float
+
+
+def sigmas(pose: SpotPose, covariance: Array, normal_covariance: Array, radius: float) -> Sigmas:
+    """Carry a covariance of ``(z_L, p, q)`` to the reported quantities.
+
+    Parameters
+    ----------
+    pose : SpotPose
+    covariance : (3, 3)
+        Of ``(z_L, p, q)``; mm, 1, 1.
+    normal_covariance : (3, 3)
+        Of the unit normal; its trace is the squared RMS angle.
+    radius : float
+        Of the beam, mm.
+    """
+    alpha_sigma = beta_sigma = long_axis_sigma = None
+    if pose.beta is not None:
+        p, q = pose.slopes
+        tangent = math.hypot(p, q)
+        to_alpha = np.array([p, q]) / (tangent * (1 + tangent**2))
+        to_beta = np.array([-q, p]) / tangent**2
+        to_long_axis = radius * np.array([p, q]) / math.sqrt(1 + tangent**2)
+        slopes = covariance[1:, 1:]
+        alpha_sigma, beta_sigma, long_axis_sigma = (
+            math.sqrt(max(row @ slopes @ row, 0.0)) for row in (to_alpha, to_beta, to_long_axis)
+        )
+    return Sigmas(
+        math.sqrt(covariance[0, 0]), alpha_sigma, beta_sigma, long_axis_sigma, math.sqrt(np.trace(normal_covariance))
+    )
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The answer to "which plane", with everything needed to judge it.
+
+    Attributes
+    ----------
+    status : Status
+    message : str
+        The status's sentence, with the numbers of this case.
+    formulation, solver : str
+        Names of what was solved and by what; ``solver`` is ``"none"`` for a direct answer.
+    pose : SpotPose or None
+        ``(R, z_L, alpha, beta)`` in the laser-parallel frame; ``z_L`` along the beam from ``(e_x, e_y, 0)``. None where refused.
+    plane : Plane or None
+        In the camera frame.
+    uncertainty : Uncertainty or None
+        None with its reason in ``uncertainty_reason``.
+    chi2, dof, p_value : float, int, float
+        Of the image ellipse against the rig: tests the rig and the points, not the plane; never the focal length or the scale.
+    chi2_points, dof_points : float, int
+        Of the points' distances from the plane's ellipse.
+    other_plane : OtherPlane or None
+    residuals : tuple of Residual
+        All ten equations at the solution.
+    identifiability, kkt, trace, effort
+        Evidence: see their classes.
+    """
+
+    status: Status
+    message: str
+    formulation: str
+    solver: str
+    pose: SpotPose | None = None
+    plane: Plane | None = None
+    uncertainty: Uncertainty | None = None
+    uncertainty_reason: str | None = None
+    radius: float = math.nan
+    chi2: float | None = None
+    dof: int = 2
+    p_value: float | None = None
+    chi2_points: float | None = None
+    dof_points: int | None = None
+    other_plane: OtherPlane | None = None
+    residuals: tuple[Residual, ...] = ()
+    identifiability: Identifiability | None = None
+    kkt: KktCheck | None = None
+    trace: Trace | None = None
+    effort: Effort = field(default_factory=Effort)
+    n_points: int = 0
+    arc_fraction: float | None = None
+    flags: tuple[Enum, ...] = ()
+
+    @property
+    def ok(self) -> bool:
+        return self.status is Status.CONVERGED
+
+    @property
+    def covariance(self) -> Array | None:
+        """Of ``(z_L, p, q)``, (3, 3), spot and rig together; None where there is none."""
+        return None if self.uncertainty is None else self.uncertainty.spot + self.uncertainty.rig
+
+    @property
+    def sigma(self) -> Sigmas | None:
+        """Standard deviations, spot and rig together."""
+        if self.uncertainty is None or self.pose is None or self.covariance is None:
+            return None
+        u = self.uncertainty
+        return sigmas(self.pose, self.covariance, u.normal_spot + u.normal_rig, self.radius)
+
+    @property
+    def sigma_spot(self) -> Sigmas | None:
+        """Standard deviations without the rig's part."""
+        if self.uncertainty is None or self.pose is None:
+            return None
+        return sigmas(self.pose, self.uncertainty.spot, self.uncertainty.normal_spot, self.radius)
+
+
+class SolveError(RuntimeError):
+    """A solve that found no defensible plane, raised on request (``throw=True``); carries the `Solution`."""
+
+    def __init__(self, solution: Solution) -> None:
+        super().__init__(solution.message)
+        self.solution = solution

@@ -1,0 +1,71 @@
+"""What a solver is: any `Nlp` in, `Found` out. The only room that talks to CasADi's solver plug-ins."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planeopt.nlp import Nlp
+from planeopt.solution import Effort, KktCheck, Trace
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class Found:
+    """Where a search ended.
+
+    Attributes
+    ----------
+    nlp : Nlp
+        The programme that ``x`` answers: the one given, or its penalised form.
+    x : (n_x,)
+        The last iterate, whether or not it is a solution.
+    report : str
+        The solver's own words; never the reason to believe it.
+    kkt : KktCheck
+        Recomputed here.
+    effort : Effort
+    trace : Trace
+    refused : str or None
+        Why the solver was not called.
+    """
+
+    nlp: Nlp
+    x: Array
+    report: str
+    kkt: KktCheck
+    effort: Effort
+    trace: Trace
+    refused: str | None = None
+
+
+class Solver(Protocol):
+    """Takes any `Nlp`."""
+
+    @property
+    def name(self) -> str:
+        """What tables and records call it."""
+        ...
+
+    def solve(self, nlp: Nlp) -> Found:
+        """Search from ``nlp.start`` through its stages; never raises for a search that fails."""
+        ...
+
+
+def too_many_equalities(nlp: Nlp) -> str | None:
+    """Why hard equalities outnumber the unknowns, in words; None where they do not.
+
+    Refusing before the call matters: CasADi does not raise on IPOPT's Not_Enough_Degrees_Of_Freedom but returns the start
+    with all rows zero.
+    """
+    equalities = [row.equation.number for row in nlp.model.rows if row.equality]
+    n = len(nlp.start)
+    if len(equalities) <= n:
+        return None
+    listed = ", ".join(f"({number})" for number in equalities)
+    return f"{len(equalities)} hard equations ({listed}) for {n} unknowns: more equations than unknowns"
+
+
+NO_TRACE = Trace(np.empty(0), np.empty(0), np.empty(0, dtype=int))

@@ -1,0 +1,42 @@
+"""IPOPT through CasADi: interior point, exact first and second derivatives."""
+
+from dataclasses import dataclass
+
+from planeopt.nlp import Nlp
+from planeopt.solvers.base import Found
+from planeopt.solvers.plugin import run
+
+
+@dataclass(frozen=True)
+class Ipopt:
+    """IPOPT with its MUMPS linear solver.
+
+    Parameters
+    ----------
+    tol : float
+        IPOPT's scaled optimality tolerance.
+    max_iter : int
+        For each stage.
+    record : bool
+        Keep every iterate in the trace (a callback: some 40 % slower).
+    """
+
+    tol: float = 1e-8
+    max_iter: int = 300
+    record: bool = False
+
+    @property
+    def name(self) -> str:
+        return "Ipopt"
+
+    def solve(self, nlp: Nlp) -> Found:
+        options = (
+            ("print_time", False),
+            ("ipopt.print_level", 0),
+            ("ipopt.sb", "yes"),
+            ("ipopt.tol", self.tol),
+            # The default lets IPOPT stop ten thousand times looser than asked.
+            ("ipopt.acceptable_iter", 0),
+            ("ipopt.max_iter", self.max_iter),
+        )
+        return run(nlp, "ipopt", options, record=self.record)

@@ -1,0 +1,183 @@
+"""Optimality recomputed from the model, and the covariance that the KKT conditions give.
+
+A solver's own word is not evidence: CasADi's ``success`` can be true at an infeasible point. Everything here is evaluated
+again from the model's functions, with multipliers of its own.
+"""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from planeopt.nlp import Nlp
+from planeopt.solution import KktCheck
+
+Array = NDArray[np.floating]
+
+ACTIVE = 1e-7
+"""An inequality or bound this close to its limit, in units of its scale, counts as active."""
+
+
+@dataclass(frozen=True)
+class System:
+    """The linearised KKT conditions at a point, over scaled unknowns and the constraints active there.
+
+    Attributes
+    ----------
+    kkt : DM (n + m, n + m)
+        Hessian of the Lagrangian and gradients of the ``m`` active constraints: equalities, near inequalities, bounds.
+    gradient : (n,)
+        Of the Lagrangian, with least-squares multipliers.
+    misfit : (m,)
+        Values of the active constraints.
+    multipliers : (m,)
+    rows : (m_rows,) of int
+        Which rows of the model the first of the active constraints are; the rest are bounds.
+    n_equalities : int
+    gradient_by_data : DM (n, n_data)
+    rows_by_data : DM (m_rows, n_data)
+    """
+
+    kkt: ca.DM
+    gradient: Array
+    misfit: Array
+    multipliers: Array
+    rows: NDArray[np.integer]
+    n_equalities: int
+    gradient_by_data: ca.DM
+    rows_by_data: ca.DM
+
+
+def check(nlp: Nlp, x: Array) -> KktCheck:
+    """First-order conditions at ``x``: feasibility, the Newton step that is left, and the multipliers' signs.
+
+    Stationarity is measured by the step to the nearest KKT point, in units of what counts as no change: unlike a
+    gradient's size it says how far the answer is off, whatever the weights and units of the objective.
+
+    Parameters
+    ----------
+    nlp : Nlp
+    x : (n_x,)
+    """
+    return _check_and_step(nlp, x)[0]
+
+
+def polish(nlp: Nlp, x: Array) -> tuple[Array, KktCheck, int]:
+    """Newton steps on the KKT conditions while one is left and each at least halves it.
+
+    A search stops where its own scaled residuals are small; in unknowns as unequal as depth and slope that can be a
+    millionth short of the answer. From there Newton's method converges quadratically.
+
+    Returns
+    -------
+    x : (n_x,)
+    check : KktCheck
+    steps : int
+    """
+    found, step = _check_and_step(nlp, x)
+    steps = 0
+    while found.feasible and not found.ok and step is not None and steps < _MOST_POLISH:
+        moved = np.clip(x + step * nlp.x_scale, nlp.lower, nlp.upper)
+        next_found, next_step = _check_and_step(nlp, moved)
+        steps += 1
+        if not next_found.feasible or next_found.step > found.step / 2:
+            break
+        x, found, step = moved, next_found, next_step
+    return x, found, steps
+
+
+_MOST_POLISH = 5
+"""Quadratic convergence doubles the digits each time: from 1e-3 to rounding in four."""
+
+
+def _check_and_step(nlp: Nlp, x: Array) -> tuple[KktCheck, Array | None]:
+    g = np.asarray(nlp.model.values(x, nlp.parameters)[1]).ravel()
+    violation = np.where(nlp.model.equalities, np.abs(g), np.maximum(-g, 0.0))
+    outside = np.maximum(np.maximum(nlp.lower - x, x - nlp.upper), 0.0) / nlp.x_scale
+    feasibility = float(np.max(np.concatenate([violation, outside])))
+    if not np.isfinite(feasibility):
+        return KktCheck(np.inf, np.inf, np.inf), None
+    system = linearise(nlp, x)
+    step = _solve(system.kkt, -np.concatenate([system.gradient, system.misfit])[:, None])[: len(x), 0]
+    wrong = float(np.max(system.multipliers[system.n_equalities :], initial=0.0))
+    dual = wrong / max(1.0, float(np.max(np.abs(system.multipliers), initial=0.0)))
+    length = float(np.max(np.abs(step * nlp.x_scale) / nlp.resolution))
+    if not np.isfinite(length):
+        return KktCheck(feasibility, np.inf, dual), None
+    return KktCheck(feasibility, length, dual), step
+
+
+def plane_covariance(nlp: Nlp, x: Array) -> tuple[Array | None, str | None]:
+    """Covariance of ``(z_L, p, q)``: the data's covariance carried through the KKT conditions at the solution.
+
+    The conditions ``grad L = 0, g_active = 0`` define ``x`` as a function of the data; one adjoint solve with the KKT
+    matrix for each of the three outputs gives its derivative ``D``, and ``D Sigma D'`` the covariance.
+
+    Returns
+    -------
+    covariance : (3, 3) or None
+    reason : str or None
+        Why there is none.
+    """
+    model, n = nlp.model, len(x)
+    system = linearise(nlp, x)
+    at_limit = [model.rows[i].equation for i in system.rows if not model.rows[i].equality]
+    if at_limit:
+        return None, f"an inequality holds with equality at the solution: {at_limit[0].name}"
+    load = np.zeros((system.kkt.shape[0], 3))
+    load[:n] = (np.asarray(model.plane_and_jacobian(x, nlp.parameters)[1]) * nlp.x_scale).T
+    adjoint = _solve(system.kkt, load)
+    error = np.abs(np.asarray(system.kkt @ ca.DM(adjoint)) - load).max()
+    if not error <= 1e-6 * np.abs(load).max():
+        return None, "the KKT matrix is singular: the data do not fix every unknown here"
+    by_data = system.gradient_by_data.T @ adjoint[:n] + system.rows_by_data.T @ adjoint[n : n + len(system.rows)]
+    root = np.asarray(by_data).T @ nlp.data_factor
+    covariance = root @ root.T
+    if not (np.isfinite(covariance).all() and (np.diag(covariance) > 0).all()):
+        return None, "the covariance from the KKT matrix is not positive definite"
+    return (covariance + covariance.T) / 2, None
+
+
+def linearise(nlp: Nlp, x: Array) -> System:
+    """The KKT conditions at ``x``; an inequality or bound is active within `ACTIVE` of its limit."""
+    model, scale = nlp.model, nlp.x_scale
+    _, gradient, g, jacobian = model.first_order(x, nlp.parameters)
+    values = np.asarray(g).ravel()
+    equalities = np.flatnonzero(model.equalities)
+    rows = np.concatenate([equalities, np.flatnonzero(~model.equalities & (values <= ACTIVE))])
+    at_lower = np.flatnonzero((x - nlp.lower) / scale <= ACTIVE)
+    at_upper = np.flatnonzero((nlp.upper - x) / scale <= ACTIVE)
+    scaling, identity = ca.diag(ca.DM(scale)), ca.DM.eye(len(x))
+    active = ca.vertcat(
+        jacobian[rows.tolist(), :] @ scaling, identity[at_lower.tolist(), :], -identity[at_upper.tolist(), :]
+    )
+    misfit = np.concatenate([values[rows], np.zeros(len(at_lower) + len(at_upper))])
+    slope = np.asarray(gradient).ravel() * scale
+    dense = np.asarray(active)
+    solved = np.linalg.lstsq(dense.T, -slope, rcond=None)[0] if len(dense) else np.zeros(0)
+    multipliers = np.zeros(len(model.rows))
+    multipliers[rows] = solved[: len(rows)]
+    hessian, gradient_by_data, rows_by_data = model.second_order(x, nlp.parameters, multipliers)
+    kkt = ca.blockcat([[scaling @ hessian @ scaling, active.T], [active, ca.DM(len(dense), len(dense))]])
+    return System(
+        kkt,
+        slope + solved @ dense,
+        misfit,
+        solved,
+        rows,
+        len(equalities),
+        scaling @ gradient_by_data,
+        rows_by_data[rows.tolist(), :],
+    )
+
+
+def _solve(kkt: ca.DM, load: Array) -> Array:
+    """Solve with the KKT matrix; the shortest least-squares solution where it is singular (beta at ``alpha = 0``)."""
+    try:
+        solution = np.asarray(ca.solve(kkt, ca.DM(load), "csparse"))
+    except RuntimeError:
+        solution = np.full_like(load, np.nan)
+    if np.isfinite(solution).all():
+        return solution
+    return np.linalg.lstsq(np.asarray(kkt), load, rcond=None)[0]

@@ -1,0 +1,120 @@
+"""CasADi's ``nlpsol``, built once per model, plug-in and options, and driven through the stages of a programme."""
+
+import logging
+import time
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from planeopt.nlp import Model, Nlp
+from planeopt.solution import Effort, Trace
+from planeopt.solvers import kkt
+from planeopt.solvers.base import NO_TRACE, Found, too_many_equalities
+
+Array = NDArray[np.floating]
+Options = tuple[tuple[str, Any], ...]
+
+_log = logging.getLogger(__name__)
+_built: WeakKeyDictionary[Model, dict[tuple[str, Options], ca.Function]] = WeakKeyDictionary()
+
+
+class Recorder(ca.Callback):
+    """Keeps every iterate. It does no work that could fail: CasADi swallows exceptions raised in a callback."""
+
+    def __init__(self, model: Model) -> None:
+        ca.Callback.__init__(self)
+        self._shapes = {"x": len(model.variables), "g": len(model.rows), "p": model.p.shape[0]}
+        self.iterates: list[Array] = []
+        self.construct("recorder", {})
+
+    def get_n_in(self) -> int:
+        return ca.nlpsol_n_out()
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        name = ca.nlpsol_out(i)
+        return ca.Sparsity.dense(1 if name == "f" else self._shapes[name.removeprefix("lam_")], 1)
+
+    def eval(self, arguments: list[ca.DM]) -> list[int]:
+        self.iterates.append(np.asarray(arguments[0]).ravel())
+        return [0]
+
+
+def compiled(model: Model, plugin: str, options: Options) -> ca.Function:
+    """Return the solver function of a model, built at the first call and kept as long as the model lives."""
+    cache = _built.setdefault(model, {})
+    key = (plugin, options)
+    if key not in cache:
+        programme = {"x": model.x, "p": model.p, "f": model.objective, "g": model.constraints}
+        cache[key] = ca.nlpsol("solver", plugin, programme, dict(options))
+    return cache[key]
+
+
+def run(nlp: Nlp, plugin: str, options: Options, *, record: bool) -> Found:
+    """Solve the stages of a programme one after another, each from the last one's answer."""
+    refusal = too_many_equalities(nlp)
+    if refusal is not None:
+        return Found(nlp, nlp.start, "not called", kkt.check(nlp, nlp.start), Effort(), NO_TRACE, refusal)
+    begun = time.perf_counter()
+    recorder = Recorder(nlp.model) if record else None
+    if recorder is None:
+        solver = compiled(nlp.model, plugin, options)
+    else:
+        m = nlp.model
+        programme = {"x": m.x, "p": m.p, "f": m.objective, "g": m.constraints}
+        solver = ca.nlpsol("solver", plugin, programme, {**dict(options), "iteration_callback": recorder})
+    built = time.perf_counter() - begun
+    x, effort, traces, reports = nlp.start, Effort(build_s=built), [], []
+    g_lower, g_upper = nlp.row_bounds
+    for stage, parameters in enumerate(nlp.stages):
+        begun = time.perf_counter()
+        seen = len(recorder.iterates) if recorder else 0
+        result = solver(x0=x, p=parameters, lbx=nlp.lower, ubx=nlp.upper, lbg=g_lower, ubg=g_upper)
+        stats = solver.stats()
+        spent = time.perf_counter() - begun
+        end = np.asarray(result["x"]).ravel()
+        x = end if np.isfinite(end).all() else x
+        reports.append(str(stats["return_status"]))
+        effort += _effort(stats, spent)
+        traces.append(_trace(stats, stage, recorder.iterates[seen:] if recorder else None))
+        _log.debug("%s %s stage %d: %s", plugin, nlp.model.name, stage, reports[-1])
+    begun = time.perf_counter()
+    x, found, steps = kkt.polish(nlp, x)
+    effort += Effort(iterations=steps, evaluations=steps, derivative_evaluations=2 * steps, solve_s=time.perf_counter() - begun)
+    return Found(nlp, x, " then ".join(reports), found, effort, _joined(traces))
+
+
+def _effort(stats: dict[str, Any], seconds: float) -> Effort:
+    values = sum(int(stats.get(name, 0)) for name in ("n_call_nlp_f", "n_call_nlp_g", "n_call_nlp_fg"))
+    derivatives = sum(int(v) for name, v in stats.items() if name.startswith(("n_call_nlp_grad", "n_call_nlp_jac", "n_call_nlp_hess")))
+    return Effort(int(stats.get("iter_count", 0)), values, derivatives, 0.0, seconds)
+
+
+def _trace(stats: dict[str, Any], stage: int, iterates: list[Array] | None) -> Trace:
+    iterations = stats.get("iterations", {})
+    objective = np.asarray(iterations.get("obj", []), dtype=float)
+    infeasibility = np.asarray(iterations.get("inf_pr", []), dtype=float)
+    n = len(iterates) if iterates is not None else len(objective)
+    return Trace(
+        _fitted(objective, n), _fitted(infeasibility, n), np.full(n, stage), np.array(iterates) if iterates else None
+    )
+
+
+def _fitted(values: Array, n: int) -> Array:
+    """The first ``n`` values; NaN where the plug-in reports fewer."""
+    return np.concatenate([values[:n], np.full(max(n - len(values), 0), np.nan)])
+
+
+def _joined(traces: list[Trace]) -> Trace:
+    paths = [t.x for t in traces if t.x is not None]
+    return Trace(
+        np.concatenate([t.objective for t in traces]),
+        np.concatenate([t.infeasibility for t in traces]),
+        np.concatenate([t.stage for t in traces]),
+        np.concatenate(paths) if paths else None,
+    )
