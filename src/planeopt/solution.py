@@ -52,13 +52,18 @@ class Flag(Enum):
 
 @dataclass(frozen=True)
 class Residual:
-    """One of the ten equations, evaluated again at the solution: left minus right, in ``unit``."""
+    """One of the ten equations, evaluated again at the solution: left minus right, in ``unit``.
+
+    ``sigmas`` is what an error of this size in this equation's data alone would show, in standard deviations; None for
+    the laser block, whose data are the rig's.
+    """
 
     equation: str
     name: str
     block: str
     unit: str
     value: float
+    sigmas: float | None = None
 
 
 @dataclass(frozen=True)
@@ -293,6 +298,15 @@ class Solution:
     @property
     def ok(self) -> bool:
         return self.status is Status.CONVERGED
+
+    @property
+    def worst(self) -> Residual | None:
+        """The image equation whose residual is largest in its own standard deviations: with `Elastic`, the one at fault.
+
+        A least-squares solution spreads a gross error over all equations; only an L1 solution leaves it in its place.
+        """
+        image = [residual for residual in self.residuals if residual.sigmas is not None]
+        return max(image, key=lambda residual: residual.sigmas or 0.0, default=None)
 
     @property
     def covariance(self) -> Array | None:

@@ -12,6 +12,7 @@ from planeopt import equations as eq
 from planeopt.closed_form import other_plane
 from planeopt.estimation.rig_part import Sensitivity
 from planeopt.formulations.problem import Problem
+from planeopt.formulations.snooping import detectability, image_misfit
 from planeopt.plane import Plane, SpotPose
 from planeopt.solution import OtherPlane, Residual, Uncertainty
 
@@ -62,8 +63,7 @@ def fit_quality(problem: Problem, plane: Array, effect: Sensitivity | None) -> F
     if problem.scale_dof == 0:
         return Fit(None, None, None, None)
     v = slope_variables(plane, problem.setup)
-    misfit = np.array(eq.image_residuals_in_slopes(np, v, problem.setup, problem.B))
-    whitened = scipy.linalg.solve(problem.B_factor, misfit)
+    whitened = scipy.linalg.solve(problem.B_factor, image_misfit(problem, plane))
     chi2 = float(whitened @ whitened)
     b = eq.image_conic_in_slopes(np, v, problem.setup)
     ellipse = np.array(b[1:]) / b[0]
@@ -109,9 +109,11 @@ def residuals(problem: Problem, plane: Array) -> tuple[Residual, ...]:
     R, z_L, p, q = slope_variables(plane, problem.setup)
     v = eq.PaperVariables(R, z_L, math.atan(math.hypot(p, q)), math.atan2(-p, q))
     values = eq.ten_residuals(np, v, problem.setup, problem.B)
+    image = np.abs(values[len(eq.LASER_BLOCK) :]) * detectability(problem, plane)
+    sigmas = [None] * len(eq.LASER_BLOCK) + [float(size) for size in image]
     return tuple(
-        Residual(f"({e.number})", e.name, str(e.block), e.unit, float(value))
-        for e, value in zip(eq.TEN, values, strict=True)
+        Residual(f"({e.number})", e.name, str(e.block), e.unit, float(value), size)
+        for e, value, size in zip(eq.TEN, values, sigmas, strict=True)
     )
 
 

@@ -101,7 +101,13 @@ def _point_rows() -> ca.Function:
     ``rho = F/|grad F|`` is the Sampson distance from the plane's ellipse. The pixel depends on the normalised point ``x`` and
     the rig, so ``dx/d eta = -(d pixel/dx)^-1 d pixel/d eta``.
     """
-    x, noise, eta, plane, f = ca.SX.sym("x", 2), ca.SX.sym("noise", 3), ca.SX.sym("eta", 14), ca.SX.sym("plane", 3), ca.SX.sym("f")
+    x, noise, eta, plane, f = (
+        ca.SX.sym("x", 2),
+        ca.SX.sym("noise", 3),
+        ca.SX.sym("eta", 14),
+        ca.SX.sym("plane", 3),
+        ca.SX.sym("f"),
+    )
     fx, fy, cx, cy, *distortion = ca.vertsplit(eta[: len(CAMERA)])
     distorted = distort(x[0], x[1], *distortion)
     pixel = ca.vertcat(fx * distorted[0] + cx, fy * distorted[1] + cy)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from planeopt.estimation import evidence, starts
 from planeopt.estimation.rig_part import sensitivity
-from planeopt.formulations import Constrained, DirectAnswer, Formulation, Problem, Refusal, Start, identify
+from planeopt.formulations import Constrained, DirectAnswer, Elastic, Formulation, Problem, Refusal, Start, identify
 from planeopt.rig import Rig
 from planeopt.solution import Flag, Identifiability, Solution, SolveError, Status
 from planeopt.solvers import Found, Ipopt, Solver
@@ -131,7 +131,9 @@ def _searched(blank: Solution, problem: Problem, found: Found) -> Solution:
     if not np.isfinite(plane).all() or not found.kkt.feasible:
         return _refused(solution, Status.INFEASIBLE, f"{Status.INFEASIBLE.value} {_worst_row(found)}")
     if not found.kkt.ok:
-        left = f"A Newton step {found.kkt.step:.1e} times what counts as none is left ({solution.solver}: {found.report})."
+        left = (
+            f"A Newton step {found.kkt.step:.1e} times what counts as none is left ({solution.solver}: {found.report})."
+        )
         return _refused(solution, Status.NOT_CONVERGED, f"{Status.NOT_CONVERGED.value} {left}")
     covariance, reason = plane_covariance(found.nlp, found.x)
     return _judged(solution, problem, plane, covariance, reason)
@@ -157,7 +159,9 @@ def _refused(solution: Solution, status: Status, message: str) -> Solution:
     return replace(solution, status=status, message=message)
 
 
-def _judged(solution: Solution, problem: Problem, plane: Array, covariance: Array | None, reason: str | None) -> Solution:
+def _judged(
+    solution: Solution, problem: Problem, plane: Array, covariance: Array | None, reason: str | None
+) -> Solution:
     """Everything that is recomputed at a plane, and the status that follows from it."""
     rig = problem.rig
     effect = None
@@ -189,10 +193,19 @@ def _verdict(problem: Problem, solution: Solution, fit: evidence.Fit, reason: st
         return Status.NO_NOISE_SCALE, Status.NO_NOISE_SCALE.value
     if fit.improbable:
         numbers = f"chi-squared {fit.chi2:.4g} with {evidence.DOF} degrees of freedom, p = {fit.p_value:.1e}"
-        return Status.INCONSISTENT, f"{Status.INCONSISTENT.value} ({numbers})"
+        return Status.INCONSISTENT, f"{Status.INCONSISTENT.value} ({numbers}){_fault(solution)}"
     if solution.uncertainty is None:
         return Status.AT_BOUND, f"{Status.AT_BOUND.value} No covariance: {reason}."
     return Status.CONVERGED, Status.CONVERGED.value
+
+
+def _fault(solution: Solution) -> str:
+    """The equation at fault, where the formulation leaves a gross error in its place."""
+    worst = solution.worst
+    if solution.formulation != Elastic().name or worst is None:
+        return ""
+    size = f"off by {worst.value:.4g} {worst.unit}, {worst.sigmas:.1f} standard deviations"
+    return f" At fault: {worst.equation} {worst.name}, {size}."
 
 
 def _reservations(problem: Problem, solution: Solution, fit: evidence.Fit) -> list[Flag]:

@@ -42,5 +42,5 @@ def from_closed_form(problem: Problem) -> Start:
     if planes.ok:
         z_L, p, q = (float(value) for value in planes.visible)
         return Start(problem.setup.r * float(np.sqrt(1 + p**2 + q**2)), (z_L, p, q), float(np.arctan2(-p, q)))
-    z_L = problem.setup.f * problem.setup.r / float(problem.semi_axes[1])
+    z_L = problem.setup.f * problem.setup.r / problem.minor_axis
     return Start(problem.setup.r, (z_L, 0.0, 0.0), 0.0, cold=True)

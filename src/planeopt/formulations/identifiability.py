@@ -36,9 +36,9 @@ def identify(problem: Problem, start: Start) -> Identifiability:
     columns = pose_scale(r, z_L)
     lengths = {"1": 1.0, "mm": r, "mm^2": r**2}
     row_scale = np.array([lengths[e.unit] for e in eq.LASER_BLOCK] + list(problem.natural_B))
-    ten = np.asarray(_ten_jacobian()(paper, np.concatenate([problem.setup, problem.B]))) * columns / row_scale[:, None]
+    ten = np.asarray(ten_jacobian()(paper, np.concatenate([problem.setup, problem.B]))) * columns / row_scale[:, None]
     laser, image = ten[:5], ten[5:]
-    independent = np.asarray(_independent_jacobian()(slopes, np.concatenate([problem.setup, problem.B]))) * columns
+    independent = np.asarray(independent_jacobian()(slopes, np.concatenate([problem.setup, problem.B]))) * columns
     independent[0] /= r**2
     # Whitened by the covariance of B, the image rows are comparable with each other; the largest sets the unit.
     independent[1:] = scipy.linalg.solve(problem.B_factor, independent[1:])
@@ -79,7 +79,8 @@ def _in_words(direction: Array) -> str:
 
 
 @cache
-def _ten_jacobian() -> ca.Function:
+def ten_jacobian() -> ca.Function:
+    """``((R, z_L, alpha, beta), (setup, B)) -> (10, 4)``."""
     x, p = ca.SX.sym("x", 4), ca.SX.sym("p", 9)
     rows = eq.ten_residuals(
         ca, eq.PaperVariables(*ca.vertsplit(x)), eq.Setup(*ca.vertsplit(p[:4])), ca.vertsplit(p[4:])
@@ -88,7 +89,8 @@ def _ten_jacobian() -> ca.Function:
 
 
 @cache
-def _independent_jacobian() -> ca.Function:
+def independent_jacobian() -> ca.Function:
+    """``((R, z_L, p, q), (setup, B)) -> (6, 4)``: the laser constraint, then the image block."""
     x, p = ca.SX.sym("x", 4), ca.SX.sym("p", 9)
     v, k = eq.SlopeVariables(*ca.vertsplit(x)), eq.Setup(*ca.vertsplit(p[:4]))
     rows = [eq.laser_constraint_in_slopes(ca, v, k), *eq.image_residuals_in_slopes(ca, v, k, ca.vertsplit(p[4:]))]

@@ -1,12 +1,11 @@
 """One case to solve: the boundary points or their ellipse, the rig in the laser-parallel frame, and the noise."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planeopt.conic import ConicFit, arc_fraction, fit_conic, geometric_from_conic
+from planeopt.conic import ConicFit, arc_fraction, fit_conic, geometric_from_conic, is_ellipse
 from planeopt.equations import Setup
 from planeopt.errors import InputError
 from planeopt.rig import Rig
@@ -157,16 +156,17 @@ class Problem:
         """(Q e)_z: what the spot centre's z has over the distance along the beam; 0 without a rig."""
         return 0.0 if self.rig is None else self.rig.axial_shift
 
-    @cached_property
-    def semi_axes(self) -> Array:
-        """Semi-axes of the image ellipse, mm, the longer first."""
-        return np.sort(np.asarray(geometric_from_conic(self.B).semi_axes))[::-1]
+    @property
+    def minor_axis(self) -> float:
+        """Shorter semi-axis of the image ellipse, mm; of a B that is no ellipse (a gross error), its natural length."""
+        if is_ellipse(self.B):
+            return float(np.min(geometric_from_conic(self.B).semi_axes))
+        return float(self.natural_B[2])
 
-    @cached_property
+    @property
     def natural_B(self) -> Array:
-        """Sizes of B_1 ... B_5 of an ellipse as far from the origin as this one: 1, 1, L, L, L^2."""
-        ellipse = geometric_from_conic(self.B)
-        length = float(np.hypot(*ellipse.centre) + np.max(ellipse.semi_axes))
+        """Sizes (5,) of B_1 ... B_5 of an ellipse as far from the origin as this one: 1, 1, L, L, L^2."""
+        length = float(np.sqrt(np.sum(self.B[2:4] ** 2) / 4 + abs(self.B[4])))
         return np.array([1.0, 1.0, length, length, length**2])
 
 

@@ -42,7 +42,14 @@ class Reprojection:
         triangle = np.stack([whitening[:, 0, 0], whitening[:, 1, 0], whitening[:, 1, 1]])
         centre = np.concatenate([start.plane, _angles(problem.points, eq.SlopeVariables(start.R, *start.plane), k)])
         plane_unit, angle_unit = _units(problem, whitening, centre)
-        parameters = [k, problem.points.ravel(), triangle.ravel(order="F"), centre, plane_unit.ravel(order="F"), angle_unit]
+        parameters = [
+            k,
+            problem.points.ravel(),
+            triangle.ravel(order="F"),
+            centre,
+            plane_unit.ravel(order="F"),
+            angle_unit,
+        ]
         free = np.full(3 + n, np.inf)
         return Nlp(
             _model(n),
@@ -90,7 +97,9 @@ def _image_derivatives() -> ca.Function:
     """Derivative (2, 4) of `_spot_image` by ``(z_L, p, q, phi)``."""
     phi, plane, setup = ca.SX.sym("phi"), ca.SX.sym("plane", 3), ca.SX.sym("setup", 4)
     image = ca.vertcat(*_spot_image(ca, ca.vertsplit(plane), phi, eq.Setup(*ca.vertsplit(setup))))
-    return ca.Function("image_derivatives", [phi, plane, setup], [ca.densify(ca.jacobian(image, ca.vertcat(plane, phi)))])
+    return ca.Function(
+        "image_derivatives", [phi, plane, setup], [ca.densify(ca.jacobian(image, ca.vertcat(plane, phi)))]
+    )
 
 
 @lru_cache(maxsize=16)

@@ -37,6 +37,8 @@ class Ipopt:
             ("ipopt.tol", self.tol),
             # The default lets IPOPT stop ten thousand times looser than asked.
             ("ipopt.acceptable_iter", 0),
+            # By default IPOPT moves every bound outwards by 1e-8 and may answer from there.
+            ("ipopt.bound_relax_factor", 0.0),
             ("ipopt.max_iter", self.max_iter),
         )
         return run(nlp, "ipopt", options, record=self.record)

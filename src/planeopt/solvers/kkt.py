@@ -8,15 +8,18 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+import scipy.linalg
+import scipy.optimize
 from numpy.typing import NDArray
 
 from planeopt.nlp import Nlp
-from planeopt.solution import KktCheck
+from planeopt.solution import FEASIBLE, KktCheck
 
 Array = NDArray[np.floating]
 
-ACTIVE = 1e-7
-"""An inequality or bound this close to its limit, in units of its scale, counts as active."""
+ACTIVE = 1e-4
+"""An inequality or bound this close to its limit, in units of its scale, is taken to be active: an interior-point search
+stops a little inside. The Newton step then goes onto the limit; where that was wrong, the multiplier's sign says so."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,8 @@ class System:
         Of the Lagrangian, with least-squares multipliers.
     misfit : (m,)
         Values of the active constraints.
-    multipliers : (m,)
+    multipliers : (m_active,)
+        Of all active constraints, dependent ones included.
     rows : (m_rows,) of int
         Which rows of the model the first of the active constraints are; the rest are bounds.
     n_equalities : int
@@ -77,15 +81,22 @@ def polish(nlp: Nlp, x: Array) -> tuple[Array, KktCheck, int]:
     """
     found, step = _check_and_step(nlp, x)
     steps = 0
-    while found.feasible and not found.ok and step is not None and steps < _MOST_POLISH:
+    while not found.ok and step is not None and found.feasibility < _NEARLY_FEASIBLE and steps < _MOST_POLISH:
         moved = np.clip(x + step * nlp.x_scale, nlp.lower, nlp.upper)
         next_found, next_step = _check_and_step(nlp, moved)
         steps += 1
-        if not next_found.feasible or next_found.step > found.step / 2:
+        if _distance(next_found) > _distance(found) / 2:
             break
         x, found, step = moved, next_found, next_step
     return x, found, steps
 
+
+def _distance(found: KktCheck) -> float:
+    return max(found.step, found.feasibility / FEASIBLE)
+
+
+_NEARLY_FEASIBLE = 1e-2
+"""In units of the rows' scales; farther off, a Newton step is no polish but a search without safeguards."""
 
 _MOST_POLISH = 5
 """Quadratic convergence doubles the digits each time: from 1e-3 to rounding in four."""
@@ -140,7 +151,11 @@ def plane_covariance(nlp: Nlp, x: Array) -> tuple[Array | None, str | None]:
 
 
 def linearise(nlp: Nlp, x: Array) -> System:
-    """The KKT conditions at ``x``; an inequality or bound is active within `ACTIVE` of its limit."""
+    """The KKT conditions at ``x``; an inequality or bound is active within `ACTIVE` of its limit.
+
+    Of active constraints that say the same thing (the five laser equations of an L1 vertex) only independent ones enter
+    the system; the multipliers are those of all.
+    """
     model, scale = nlp.model, nlp.x_scale
     _, gradient, g, jacobian = model.first_order(x, nlp.parameters)
     values = np.asarray(g).ravel()
@@ -152,24 +167,58 @@ def linearise(nlp: Nlp, x: Array) -> System:
     active = ca.vertcat(
         jacobian[rows.tolist(), :] @ scaling, identity[at_lower.tolist(), :], -identity[at_upper.tolist(), :]
     )
-    misfit = np.concatenate([values[rows], np.zeros(len(at_lower) + len(at_upper))])
+    inside = (x - nlp.lower)[at_lower] / scale[at_lower], (nlp.upper - x)[at_upper] / scale[at_upper]
+    misfit = np.concatenate([values[rows], *inside])
     slope = np.asarray(gradient).ravel() * scale
     dense = np.asarray(active)
-    solved = np.linalg.lstsq(dense.T, -slope, rcond=None)[0] if len(dense) else np.zeros(0)
+    solved = _multipliers(dense, slope, len(equalities))
     multipliers = np.zeros(len(model.rows))
     multipliers[rows] = solved[: len(rows)]
     hessian, gradient_by_data, rows_by_data = model.second_order(x, nlp.parameters, multipliers)
-    kkt = ca.blockcat([[scaling @ hessian @ scaling, active.T], [active, ca.DM(len(dense), len(dense))]])
+    kept = _independent(dense)
+    kept_rows = rows[kept[kept < len(rows)]]
+    active = active[kept.tolist(), :]
+    kkt = ca.blockcat([[scaling @ hessian @ scaling, active.T], [active, ca.DM(len(kept), len(kept))]])
     return System(
         kkt,
         slope + solved @ dense,
-        misfit,
+        misfit[kept],
         solved,
-        rows,
+        kept_rows,
         len(equalities),
         scaling @ gradient_by_data,
-        rows_by_data[rows.tolist(), :],
+        rows_by_data[kept_rows.tolist(), :],
     )
+
+
+def _multipliers(active: Array, gradient: Array, n_equalities: int) -> Array:
+    """Least-squares multipliers of ``gradient + A' lambda = 0``.
+
+    Where active constraints depend on each other the multipliers are not unique: then those with the right signs (not
+    positive for inequalities) are looked for, which plain least squares need not return.
+    """
+    if not len(active):
+        return np.zeros(0)
+    solved = np.linalg.lstsq(active.T, -gradient, rcond=None)[0]
+    if len(_independent(active)) == len(active) or np.all(solved[n_equalities:] <= 0):
+        return solved
+    upper = np.full(len(active), np.inf)
+    upper[n_equalities:] = 0.0
+    return scipy.optimize.lsq_linear(active.T, -gradient, bounds=(-np.inf, upper), method="bvls", tol=1e-14).x
+
+
+def _independent(active: Array) -> NDArray[np.integer]:
+    """Indices, in order, of the most rows that do not depend on each other, by pivoted QR of rows of unit length."""
+    if not len(active):
+        return np.zeros(0, dtype=int)
+    unit = active / np.maximum(np.linalg.norm(active, axis=1), np.finfo(float).tiny)[:, None]
+    triangle, order = scipy.linalg.qr(unit.T, mode="r", pivoting=True)
+    size = np.abs(np.diag(triangle))
+    return np.sort(order[: len(size)][size > _DEPENDENT * size[0]])
+
+
+_DEPENDENT = 1e-9
+"""Rows of unit length whose part orthogonal to the others is smaller than this say nothing of their own."""
 
 
 def _solve(kkt: ca.DM, load: Array) -> Array:

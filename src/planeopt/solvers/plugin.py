@@ -85,13 +85,17 @@ def run(nlp: Nlp, plugin: str, options: Options, *, record: bool) -> Found:
         _log.debug("%s %s stage %d: %s", plugin, nlp.model.name, stage, reports[-1])
     begun = time.perf_counter()
     x, found, steps = kkt.polish(nlp, x)
-    effort += Effort(iterations=steps, evaluations=steps, derivative_evaluations=2 * steps, solve_s=time.perf_counter() - begun)
+    effort += Effort(
+        iterations=steps, evaluations=steps, derivative_evaluations=2 * steps, solve_s=time.perf_counter() - begun
+    )
     return Found(nlp, x, " then ".join(reports), found, effort, _joined(traces))
 
 
 def _effort(stats: dict[str, Any], seconds: float) -> Effort:
     values = sum(int(stats.get(name, 0)) for name in ("n_call_nlp_f", "n_call_nlp_g", "n_call_nlp_fg"))
-    derivatives = sum(int(v) for name, v in stats.items() if name.startswith(("n_call_nlp_grad", "n_call_nlp_jac", "n_call_nlp_hess")))
+    derivatives = sum(
+        int(v) for name, v in stats.items() if name.startswith(("n_call_nlp_grad", "n_call_nlp_jac", "n_call_nlp_hess"))
+    )
     return Effort(int(stats.get("iter_count", 0)), values, derivatives, 0.0, seconds)
 
 

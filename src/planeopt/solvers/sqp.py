@@ -9,7 +9,10 @@ from planeopt.solvers.plugin import run
 
 @dataclass(frozen=True)
 class Sqp:
-    """CasADi's ``sqpmethod`` with the sparse active-set solver ``qrqp`` and exact, convexified Hessians.
+    """CasADi's ``sqpmethod`` with the sparse active-set solver ``qrqp`` and exact Hessians.
+
+    From the closed form it takes two to four steps. The Hessians are left as they are: made convex, they cost it its
+    quadratic convergence (60 steps and more), and from far away it may fail instead, which is then reported.
 
     Parameters
     ----------
@@ -42,7 +45,6 @@ class Sqp:
             ("max_iter", self.max_iter),
             ("qpsol", "qrqp"),
             ("qpsol_options", _Options(quiet)),
-            ("convexify_strategy", "regularize"),
         )
         return run(nlp, "sqpmethod", options, record=self.record)
 

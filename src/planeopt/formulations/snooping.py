@@ -1,0 +1,42 @@
+"""Which image equation is at fault: how an error in one coefficient of B shows in the residuals (Baarda's data snooping)."""
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from planeopt import equations as eq
+from planeopt.formulations.identifiability import independent_jacobian
+from planeopt.formulations.problem import Problem
+
+Array = NDArray[np.floating]
+
+
+def image_misfit(problem: Problem, plane: Array) -> Array:
+    """Residuals (5,) of (17)-(21) at ``(z_L, p, q)``."""
+    return np.array(eq.image_residuals_in_slopes(np, eq.SlopeVariables(None, *plane), problem.setup, problem.B))
+
+
+def detectability(problem: Problem, plane: Array) -> Array:
+    """How many standard deviations an error of one unit in each coefficient of B would show, once the plane is fitted.
+
+    ``sqrt([W Q W]_ii)`` with ``W = Sigma_B^-1`` and ``Q`` the covariance of the fit's residuals (Baarda, *A testing
+    procedure for use in geodetic networks*, 1968). Slacks weighted so cost the same for every coefficient that alone is
+    wrong, which makes each of them an extreme point of the L1 ball in the space that the plane leaves over.
+
+    Parameters
+    ----------
+    problem : Problem
+    plane : (3,)
+        ``(z_L, p, q)`` at which the image equations are linearised.
+
+    Returns
+    -------
+    (5,)
+        1 over the unit of B_1 ... B_5.
+    """
+    R = problem.setup.r * np.sqrt(1 + plane[1] ** 2 + plane[2] ** 2)
+    rows = independent_jacobian()(np.array([R, *plane]), np.concatenate([problem.setup, problem.B]))
+    whitened = scipy.linalg.solve(problem.B_factor, np.asarray(rows)[1:, 1:])
+    basis = np.linalg.qr(whitened / np.linalg.norm(whitened, axis=0))[0]
+    left_over = scipy.linalg.null_space(basis.T).T @ np.linalg.inv(problem.B_factor)
+    return np.linalg.norm(left_over, axis=0)
