@@ -7,19 +7,90 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from planeopt.comparison import Comparison, compare
     from planeopt.errors import InputError
+    from planeopt.estimation import solve
+    from planeopt.formulations import (
+        AsPrinted,
+        ClosedForm,
+        Constrained,
+        Elastic,
+        LeastSquares,
+        Penalty,
+        Reprojection,
+    )
+    from planeopt.plane import Plane, SpotPose
+    from planeopt.rig import Beam, Camera, Rig, load_rig, save_rig
+    from planeopt.solution import Solution, SolveError, Status
+    from planeopt.solvers import Ipopt, Sqp, Swift
+    from planeopt.spot import Spot, SpotNotFound, find_spot, read_image, read_points, write_points
 
 __version__ = "0.1.0"
 
-_HOMES = {
-    "InputError": "planeopt.errors",
-}
+__all__ = [
+    "AsPrinted",
+    "Beam",
+    "Camera",
+    "ClosedForm",
+    "Comparison",
+    "Constrained",
+    "Elastic",
+    "InputError",
+    "Ipopt",
+    "LeastSquares",
+    "Penalty",
+    "Plane",
+    "Reprojection",
+    "Rig",
+    "Solution",
+    "SolveError",
+    "Spot",
+    "SpotNotFound",
+    "SpotPose",
+    "Sqp",
+    "Status",
+    "Swift",
+    "__version__",
+    "compare",
+    "find_spot",
+    "load_rig",
+    "read_image",
+    "read_points",
+    "save_rig",
+    "solve",
+    "write_points",
+]
 
-__all__ = ["InputError", "__version__"]
+_CONTENTS = {
+    "planeopt.comparison": ("Comparison", "compare"),
+    "planeopt.errors": ("InputError",),
+    "planeopt.estimation": ("solve",),
+    "planeopt.formulations": (
+        "AsPrinted",
+        "ClosedForm",
+        "Constrained",
+        "Elastic",
+        "LeastSquares",
+        "Penalty",
+        "Reprojection",
+    ),
+    "planeopt.plane": ("Plane", "SpotPose"),
+    "planeopt.rig": ("Beam", "Camera", "Rig", "load_rig", "save_rig"),
+    "planeopt.solution": ("Solution", "SolveError", "Status"),
+    "planeopt.solvers": ("Ipopt", "Sqp", "Swift"),
+    "planeopt.spot": ("Spot", "SpotNotFound", "find_spot", "read_image", "read_points", "write_points"),
+}
+_HOMES = {name: home for home, names in _CONTENTS.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
     home = _HOMES.get(name)
     if home is None:
         raise AttributeError(f"module 'planeopt' has no attribute {name!r}")
-    return getattr(import_module(home), name)
+    value = getattr(import_module(home), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
