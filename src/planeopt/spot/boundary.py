@@ -25,6 +25,8 @@ _GOOD_PROFILE = 0.02  # of the median height: a residual that is good enough, ho
 _MIN_HEIGHT = 0.3  # of the median height
 _MIN_SHARE = 0.5  # of the boundary, else there is no saying what it is
 _MAX_SCATTER = 0.04  # of the ellipse's size: what scatters more is not one
+_MIN_BAND = 50  # pixels that can tell a slope
+_MIN_WIDTHS = 3.0  # of the profile, in half the spot: less never reaches a plateau
 _SIGMA_FLOOR = 1e-3  # px: the interpolation's own error
 _RING_BLUR = 1.0  # px: what a focused camera blurs; the rest of a laser line's width is its own
 
@@ -101,12 +103,15 @@ def measure_boundary(
         If too little of the boundary can be measured, or it is not an ellipse.
     """
     outline, width = _rough(values, candidate)
-    for _ in range(_ROUNDS):
-        lines = _lines(values, candidate.kind, outline, width)
-        result = _measure(lines, level, camera_blur, straighten)
+    values = _levelled(values, outline, width)
+    result = _measure(_lines(values, candidate.kind, outline, width), level, camera_blur, straighten)
+    for _ in range(_ROUNDS - 1):
         if _moved(outline, result.outline) < 0.02 * result.width:
             break
-        outline, width = result.outline, result.width
+        outline = result.outline
+        result = _measure(_lines(values, candidate.kind, outline, result.width), level, camera_blur, straighten)
+    if result.outline.b < _MIN_WIDTHS * result.width:
+        raise SpotNotFound(NoSpotReason.TOO_SMALL, f"It is {2 * result.outline.b:.1f} px across.")
     return result
 
 
@@ -173,6 +178,32 @@ def _rough(values: NDArray[np.float32], candidate: Candidate) -> tuple[Outline, 
         outline = found.outline
         reach = max(4 * width + 3, 5.0)
     return outline, width
+
+
+def _levelled(values: NDArray[np.float32], outline: Outline, width: float) -> NDArray[np.float32]:
+    """Return the image less the slope of its background round the spot.
+
+    A slope of the background would move the boundary: on each normal it is taken to be level. A plane through the band
+    just outside the spot, where the profiles' own background lies; a third of it may be something else.
+    """
+    x0, y0, x1, y1 = _box(values, outline, 4 * width + 3)
+    x, y = np.meshgrid(np.arange(x0, x1, dtype=np.float64), np.arange(y0, y1, dtype=np.float64))
+    offset = outline.distances(np.stack([x.ravel(), y.ravel()], axis=1)).reshape(x.shape)
+    band = (offset > 2.5 * width + 1) & (offset < 4 * width + 3)
+    if band.sum() < _MIN_BAND:
+        return values
+    level, design = (
+        values[y0:y1, x0:x1][band].astype(np.float64),
+        np.stack([np.ones_like(x), x - outline.x, y - outline.y], axis=-1),
+    )
+    residual, plane = level - np.median(level), np.zeros(3)
+    for _ in range(3):
+        good = np.abs(residual) <= 4 / 0.6745 * np.median(np.abs(residual))
+        plane = np.linalg.lstsq(design[band][good], level[good], rcond=None)[0]
+        residual = level - design[band] @ plane
+    flat = values.copy()
+    flat[y0:y1, x0:x1] -= (design[..., 1:] @ plane[1:]).astype(np.float32)
+    return flat
 
 
 def _lines(values: NDArray[np.float32], kind: Kind, outline: Outline, width: float) -> _Lines:

@@ -53,7 +53,7 @@ class Outline:
     @property
     def conic(self) -> Array:
         """Coefficients (5,) of the conic (16), px."""
-        return conic_from_geometric([self.x, self.y], [self.a, self.b], self.angle)
+        return np.asarray(conic_from_geometric([self.x, self.y], [self.a, self.b], self.angle), dtype=np.float64)
 
     def grown(self, factor: float) -> "Outline":
         """Return the ellipse with both semi-axes multiplied."""

@@ -88,9 +88,9 @@ class Spot:
 
     Parameters
     ----------
-    points : (N, 2) array_like
+    points : (N, 2) array
         Boundary points ``(x, y)`` in raw (distorted) pixels; pixel centres are at integers. At least five.
-    sigma : (N,) array_like or float, optional
+    sigma : (N,) array, optional
         Standard deviation across the boundary, px, inflated so that the points count as independent. ``None``: not
         known, to be estimated from the residuals.
     kind : {"disc", "ring"}, optional
@@ -133,8 +133,6 @@ class Spot:
         object.__setattr__(self, "points", points)
         if self.sigma is not None:
             sigma = _frozen(self.sigma, "sigma")
-            if sigma.ndim == 0:
-                sigma = _frozen(np.full(len(points), sigma), "sigma")
             if sigma.shape != (len(points),):
                 raise InputError(
                     f"spot: sigma must have one value for each of the {len(points)} points, not {sigma.shape}"

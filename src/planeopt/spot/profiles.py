@@ -5,6 +5,7 @@ normal meet those of another only through that width, so the normal equations ha
 eliminated last (variable projection in its Gauss-Newton form).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -155,7 +156,7 @@ def fit_profiles(
     use : (N,) bool array
         Normals that have a say in the shared width.
     """
-    terms = _disc_terms if kind == "disc" else _ring_terms
+    terms = model_terms(kind)
     linear = np.zeros((len(profiles), 3))
     reach = 0.75 * np.abs(t).max()
     share = use.astype(np.float64)
@@ -193,6 +194,15 @@ def fit_profiles(
         rms=np.sqrt((residual**2).sum(axis=1) / degrees),
         width=width,
     )
+
+
+def model_terms(kind: Kind) -> Callable[[Array, Array, float, Array], tuple[Array, Array, Array]]:
+    """Return the model of `fit_profiles` as a function of places, positions, width and linear parameters (N, 3).
+
+    It returns the basis (N, M, 3) of the linear parameters (background, height, slope) and the derivatives (N, M) by
+    position and by width.
+    """
+    return _disc_terms if kind == "disc" else _ring_terms
 
 
 def _disc_terms(t: Array, position: Array, width: float, linear: Array) -> tuple[Array, Array, Array]:

@@ -1,0 +1,165 @@
+"""The parts of the spot's measurement, each against what it should give exactly."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from planeopt.errors import InputError
+from planeopt.spot.candidates import pixel_noise
+from planeopt.spot.grey import to_grey
+from planeopt.spot.outline import Outline, fit, from_moments
+from planeopt.spot.points import Kind
+from planeopt.spot.profiles import STEP, fit_profiles, half_level_start, model_terms, ridge_start
+from planeopt.spot.scatter import inflation_of, scatter_about_ellipse
+
+T = np.arange(-10, 10 + STEP, STEP)
+
+
+@pytest.mark.parametrize("kind", ["disc", "ring"])
+def test_profile_derivatives(kind: Kind) -> None:
+    rng = np.random.default_rng(0)
+    position, linear = rng.normal(0, 1, 5), rng.normal(1, 1, (5, 3))
+    width, step = 1.3, 1e-6
+
+    def value(position: np.ndarray, width: float) -> np.ndarray:
+        return np.einsum("nmk,nk->nm", model_terms(kind)(T, position, width, linear)[0], linear)
+
+    _, by_position, by_width = model_terms(kind)(T, position, width, linear)
+    # Central differences: rounding 1e-16 / step, truncation step^2.
+    np.testing.assert_allclose(
+        (value(position + step, width) - value(position - step, width)) / (2 * step), by_position, atol=1e-8
+    )
+    np.testing.assert_allclose(
+        (value(position, width + step) - value(position, width - step)) / (2 * step), by_width, atol=1e-8
+    )
+
+
+@pytest.mark.parametrize("kind", ["disc", "ring"])
+@pytest.mark.parametrize("width", [0.6, 1.5, 2.5])
+def test_exact_profiles_are_recovered(kind: Kind, width: float) -> None:
+    rng = np.random.default_rng(1)
+    count = 40
+    position = rng.uniform(-1, 1, count)
+    linear = np.stack([rng.uniform(0, 0.1, count), rng.uniform(0.5, 1, count), rng.uniform(-0.01, 0.01, count)], axis=1)
+    profiles = np.einsum("nmk,nk->nm", model_terms(kind)(T, position, width, linear)[0], linear)
+    rough, height, rough_width = (half_level_start if kind == "disc" else ridge_start)(profiles, T)
+    # A start: half a pixel and a third of the height are enough.
+    assert np.abs(rough - position).max() < 0.5
+    assert np.abs(height / linear[:, 1] - 1).max() < 0.3
+    found = fit_profiles(profiles, T, kind, np.zeros(count), rough_width, np.ones(count, dtype=bool))
+    np.testing.assert_allclose(found.position, position, atol=1e-6)
+    np.testing.assert_allclose(found.height, linear[:, 1], atol=1e-6)
+    np.testing.assert_allclose(found.background, linear[:, 0], atol=1e-6)
+    assert found.width == pytest.approx(width, abs=1e-6)
+    assert found.rms.max() < 1e-6
+
+
+def test_flat_profiles_have_no_position_and_do_no_harm() -> None:
+    found = fit_profiles(np.ones((5, len(T))), T, "disc", np.zeros(5), 1.0, np.ones(5, dtype=bool))
+    assert np.all(np.isfinite(found.position))
+    assert np.all(np.isfinite(found.variance))
+    assert np.abs(found.height).max() < 1e-3
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.5, 0.8])
+def test_inflation_of_a_known_process(phi: float) -> None:
+    count, draws = 600, 40
+    rng = np.random.default_rng(2)
+    frequency = 2 * np.pi * np.fft.rfftfreq(count)
+    filtered = 1 / np.abs(1 - phi * np.exp(-1j * frequency))
+    series = np.fft.irfft(np.fft.rfft(rng.normal(size=(draws, count))) * filtered, count)
+    found = [inflation_of(row, np.ones(count, dtype=bool)) ** 2 for row in series]
+    # First-order autoregression: (1 + phi) / (1 - phi). The sequence of positive pairs is cut where noise ends it,
+    # which costs up to 20 % either way; the mean of 40 adds 5 %.
+    assert np.mean(found) == pytest.approx((1 + phi) / (1 - phi), rel=0.25)
+
+
+def test_inflation_does_not_depend_on_gaps() -> None:
+    rng = np.random.default_rng(3)
+    series = np.convolve(rng.normal(size=2000), np.ones(4), "same")
+    present = rng.random(2000) < 0.7
+    holed = np.where(present, series, 1e9)
+    assert inflation_of(holed, present) == pytest.approx(inflation_of(series, np.ones(2000, dtype=bool)), rel=0.2)
+
+
+outlines = st.builds(
+    Outline,
+    x=st.floats(-50, 2000),
+    y=st.floats(-50, 2000),
+    a=st.floats(20, 100),
+    b=st.floats(12, 20),
+    angle=st.floats(-1.5, 1.5),
+)
+
+
+@settings(derandomize=True, max_examples=30, deadline=None)
+@given(outline=outlines)
+def test_outline_geometry(outline: Outline) -> None:
+    points, normals, curvature = outline.normals_at(400)
+    np.testing.assert_allclose(outline.radius_of(points), 1, atol=1e-9)
+    np.testing.assert_allclose(outline.distances(points + 1e-3 * normals), 1e-3, rtol=1e-3)
+    steps = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
+    # Chords of a curve of curvature k are k^2 s^2 / 24 shorter than their arcs s.
+    assert np.ptp(steps) < steps.mean() * (0.01 + (curvature.max() * steps.mean()) ** 2 / 12)
+    assert steps.sum() == pytest.approx(outline.perimeter, rel=2e-3)
+    # Total curvature of a closed curve.
+    assert (curvature * steps).sum() == pytest.approx(2 * np.pi, rel=0.02)
+    found = fit(points, np.ones(400))
+    assert found is not None
+    np.testing.assert_allclose(
+        [found.x, found.y, found.a, found.b], [outline.x, outline.y, outline.a, outline.b], atol=1e-5
+    )
+
+
+def test_outline_from_moments() -> None:
+    truth = Outline(60.3, 50.2, 40, 20, 0.7)
+    grid = np.stack(np.meshgrid(np.arange(120.0), np.arange(100.0)), axis=-1).reshape(-1, 2)
+    inside = grid[truth.radius_of(grid) < 1]
+    found = from_moments(inside.mean(axis=0), np.cov(inside.T))
+    # Pixels that are in or out: a tenth of a pixel, as the boundary averages over its own length.
+    np.testing.assert_allclose([found.x, found.y, found.a, found.b], [60.3, 50.2, 40, 20], atol=0.1)
+    assert found.angle % np.pi == pytest.approx(0.7, abs=0.01)
+
+
+def test_outliers_are_left_out() -> None:
+    rng = np.random.default_rng(4)
+    points, normals, _ = Outline(60, 50, 40, 30, 0.2).normals_at(200)
+    offsets = rng.normal(0, 0.05, 200)
+    offsets[50:56] += 2.0
+    found = scatter_about_ellipse(points + offsets[:, None] * normals, np.full(200, 0.05), np.ones(200, dtype=bool))
+    assert found is not None
+    assert set(np.flatnonzero(~found.keep)) == set(range(50, 56))
+    # 194 residuals: 5 % on a standard deviation; the robust one 8 %.
+    assert found.factor == pytest.approx(1, abs=0.25)
+    assert scatter_about_ellipse(np.stack([np.arange(20.0)] * 2, axis=1), np.ones(20), np.ones(20, dtype=bool)) is None
+
+
+def test_noise_is_told_from_content() -> None:
+    rng = np.random.default_rng(5)
+    y, x = np.mgrid[:200, :300]
+    content = 0.2 + x / 600 + 0.3 * ((x // 40 + y // 40) % 2)
+    image = (content + rng.normal(0, 0.01, content.shape)).astype(np.float32)
+    # Edges are a twentieth of the second differences; 60,000 of them say 1 %.
+    assert pixel_noise(image) == pytest.approx(0.01, rel=0.15)
+    assert pixel_noise(np.zeros((5, 2), np.float32)) == 0
+
+
+def test_grey() -> None:
+    image = np.zeros((4, 5, 3), np.uint8)
+    image[..., 2] = 255
+    assert to_grey(image).values == pytest.approx(0.299)
+    assert to_grey(image, "red").values == pytest.approx(1)
+    assert to_grey(image, "blue").values == pytest.approx(0)
+    grey = to_grey(image)
+    assert grey.clipped is not None
+    assert grey.clipped.all()
+    dim = to_grey(np.full((2, 2), 128, np.uint8), gamma=2.0)
+    assert dim.values == pytest.approx((128 / 255) ** 2, rel=1e-6)
+    twelve = np.full((2, 2), 4095, np.uint16)
+    assert to_grey(twelve).values == pytest.approx(1), "a full 12-bit value is full scale"
+    assert to_grey(twelve - 1).values == pytest.approx(4094 / 65535)
+    assert to_grey(np.full((2, 2), 0.5)).clipped is None
+    for channel, gamma in (("infrared", 1.0), ("gray", 0.0), ("gray", np.nan)):
+        with pytest.raises(InputError, match=r"channel|gamma"):
+            to_grey(image, channel, gamma)
