@@ -192,10 +192,8 @@ def _levelled(values: NDArray[np.float32], outline: Outline, width: float) -> ND
     band = (offset > 2.5 * width + 1) & (offset < 4 * width + 3)
     if band.sum() < _MIN_BAND:
         return values
-    level, design = (
-        values[y0:y1, x0:x1][band].astype(np.float64),
-        np.stack([np.ones_like(x), x - outline.x, y - outline.y], axis=-1),
-    )
+    level = values[y0:y1, x0:x1][band].astype(np.float64)
+    design = np.stack([np.ones_like(x), x - outline.x, y - outline.y], axis=-1)
     residual, plane = level - np.median(level), np.zeros(3)
     for _ in range(3):
         good = np.abs(residual) <= 4 / 0.6745 * np.median(np.abs(residual))

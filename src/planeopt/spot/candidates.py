@@ -80,7 +80,7 @@ def find_candidate(grey: Grey, noise: float, kind: Kind | None) -> Candidate:
         raise SpotNotFound(NoSpotReason.IMAGE_TOO_SMALL, f"It has {values.shape[1]} x {values.shape[0]} pixels.")
     candidates, rejection = _search(values, noise)
     best = max(candidates, key=lambda found: found.strength, default=None)
-    if best is None or (best.touches_border and best.contrast < _threshold(noise)):
+    if best is None:
         raise _explain(grey, rejection)
     rivals = [found for found in candidates if found is not best and found.strength > _RIVAL * best.strength]
     if rivals:

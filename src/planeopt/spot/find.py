@@ -84,9 +84,13 @@ def find_spot(
         straighten=None if rig is None else _straighten(rig.camera),
     )
     _log.debug(
-        "%s %s: %d points, width %.2f px, scatter %.2f of the noise's, inflation %.2f",
-        source or "image", candidate.kind, len(boundary.points), boundary.width, boundary.excess, boundary.inflation,
-    )  # fmt: skip
+        "%s: %d points, width %.2f px, scatter %.2f of the noise's, inflation %.2f",
+        source or "image",
+        len(boundary.points),
+        boundary.width,
+        boundary.excess,
+        boundary.inflation,
+    )
     saturation = _saturation(grey, boundary)
     return Spot(
         points=boundary.points,
@@ -129,18 +133,16 @@ def _saturation(grey: Grey, boundary: Boundary) -> float | None:
     """Return the share of clipped pixels where the spot is bright: above half its height."""
     if grey.clipped is None:
         return None
-    spot = _bright_pixels(grey.values, boundary)
-    bright = spot > boundary.background + boundary.height / 2
-    clipped = _bright_pixels(grey.clipped, boundary) & bright
+    region = _around(grey.values, boundary)
+    bright = region > boundary.background + boundary.height / 2
+    clipped = _around(grey.clipped, boundary) & bright
     return float(clipped.sum() / max(int(bright.sum()), 1))
 
 
-def _bright_pixels(values: NDArray[Any], boundary: Boundary) -> NDArray[Any]:
-    half_width, half_height = boundary.outline.grown(1.1).extent
+def _around(values: NDArray[Any], boundary: Boundary) -> NDArray[Any]:
     x, y = boundary.outline.x, boundary.outline.y
-    return values[
-        max(int(y - half_height), 0) : int(y + half_height) + 2, max(int(x - half_width), 0) : int(x + half_width) + 2
-    ]
+    wide, high = boundary.outline.grown(1.1).extent
+    return values[max(int(y - high), 0) : int(y + high) + 2, max(int(x - wide), 0) : int(x + wide) + 2]
 
 
 def _flags(boundary: Boundary, noise: float, saturation: float | None, ring_assumed: bool) -> tuple[SpotFlag, ...]:
