@@ -13,7 +13,7 @@ from planeopt.conic.ellipse import BoolArray, FloatArray
 from planeopt.conic.sample import EPS, Sample
 
 MAX_STEPS = 100
-"""Steps of Gauss-Newton; four to eight are usual."""
+"""Steps of Gauss-Newton; three to six are usual."""
 
 STEP_TOLERANCE = 1e-7
 """A step below this many standard deviations ends the iteration. The step after it would be shorter by the noise over
@@ -98,7 +98,7 @@ def least_squares(sample: Sample) -> FloatArray:
     """
     D = monomials(sample.u)
     Q, R = np.linalg.qr(D[..., 1:])
-    return np.linalg.solve(R, -(_transpose(Q) @ D[..., :1]))[..., 0]
+    return np.linalg.solve(_invertible(R), -(_transpose(Q) @ D[..., :1]))[..., 0]
 
 
 def direct(sample: Sample) -> FloatArray:
@@ -127,14 +127,14 @@ def maximum_likelihood(sample: Sample, start: FloatArray) -> tuple[FloatArray, B
     B : (K, 5) array
         The minima; a local one may be reached from a bad start.
     converged : (K,) array of bool
-        Where the last step was below `STEP_TOLERANCE`, or the residuals are at the level of rounding.
+        Where the last step was below `STEP_TOLERANCE`, or below what rounding of the points moves.
     """
     B, converged = start.copy(), np.zeros(len(start), dtype=bool)
     D = monomials(sample.u)
     index, damping = np.arange(len(start)), np.zeros(len(start))
     spread = np.sqrt(residual_variance(sample, B))
     # A fixed triangular preconditioner: the steps are solved in coordinates where the information starts as identity.
-    P = np.linalg.inv(_triangle(D[..., 1:] / spread[..., None]))
+    P = np.linalg.inv(_invertible(_triangle(D[..., 1:] / spread[..., None])))
     floor = _rounding(sample, D, B, spread)
     current = B
     residual, J = _sampson(sample, D, current, P)
@@ -148,19 +148,19 @@ def maximum_likelihood(sample: Sample, start: FloatArray) -> tuple[FloatArray, B
         step = -np.linalg.solve(H, gradient[..., None])[..., 0]
         gain = -np.sum(step * gradient, axis=-1)
         trial = current + (P @ step[..., None])[..., 0]
+        done = gain <= STEP_TOLERANCE**2 * cost / D.shape[1] + floor
+        if np.all(done):
+            B[index], converged[index] = trial, True
+            break
         with np.errstate(all="ignore"):  # a step too far is refused below, not reported
             trial_residual, trial_J = _sampson(sample, D, trial, P)
             trial_cost = np.sum(trial_residual * trial_residual, axis=-1)
-        done = (gain <= STEP_TOLERANCE**2 * cost / D.shape[1]) | (cost <= floor)
-        # The cost itself is known to rounding only; false for NaN.
-        better = trial_cost <= cost * (1 + 1e-13) + floor
-        accept = better | (done & np.isfinite(trial_cost))
+        # The residuals are known to rounding only; false for NaN.
+        better = np.sqrt(trial_cost) <= np.sqrt(cost) * (1 + 1e-13) + np.sqrt(floor)
         damping = np.where(better, np.where(damping > 1e-6, damping / 10, 0.0), np.maximum(10 * damping, 1e-3))
-        current = np.where(accept[:, None], trial, current)
+        current = np.where((better | done)[:, None], trial, current)
         B[index], converged[index] = current, done
         go = ~done
-        if not np.any(go):
-            break
         residual = np.where(better[:, None], trial_residual, residual)
         J = np.where(better[:, None, None], trial_J, J)
         cost = np.where(better, trial_cost, cost)
@@ -180,47 +180,69 @@ def _rounding(sample: Sample, D: FloatArray, B: FloatArray, spread: FloatArray) 
     return EPS**2 * np.sum(((terms + moved) / spread) ** 2, axis=-1)
 
 
-def _sampson(sample: Sample, D: FloatArray, B: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the residuals (K, N) and their derivative (K, N, 5) by preconditioned coefficients (`B = P phi`)."""
+def _on_curve(sample: Sample, D: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return Q (K, N), its variance (K, N), and A (K, N, 5) carried to the nearest point of the curve.
+
+    The nearest point, in the metric of the noise, is `x - V g Q / (g' V g)` to first order. The carried monomials make
+    exactly zero with the coefficients, so that it does not matter which coefficient was set to one; and they are the
+    derivative of the Sampson distance times the root of its variance.
+    """
     A, (gx, gy) = D[..., 1:], gradients(B, sample.u)
     hx, hy = sample.cxx * gx + sample.cxy * gy, sample.cxy * gx + sample.cyy * gy
     variance = gx * hx + gy * hy
     value = D[..., 0] + (A @ B[..., None])[..., 0]
     ratio = value / variance
-    J = A.copy()
+    hx, hy = ratio * hx, ratio * hy
+    carried = A.copy()
     x, y = sample.u[..., 0], sample.u[..., 1]
-    J[..., 0] -= ratio * (hx * y + hy * x)
-    J[..., 1] -= ratio * (2 * hy * y)
-    J[..., 2] -= ratio * hx
-    J[..., 3] -= ratio * hy
+    carried[..., 0] -= hx * y + hy * x
+    carried[..., 1] -= 2 * hy * y
+    carried[..., 2] -= hx
+    carried[..., 3] -= hy
+    return value, variance, carried
+
+
+def _sampson(sample: Sample, D: FloatArray, B: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the residuals (K, N) and their derivative (K, N, 5) by preconditioned coefficients (`B = P phi`)."""
+    value, variance, carried = _on_curve(sample, D, B)
     root = np.sqrt(variance)
-    J /= root[..., None]
-    return value / root, J @ P
+    return value / root, (carried / root[..., None]) @ P
 
 
 def factor_maximum_likelihood(sample: Sample, B: FloatArray) -> FloatArray:
-    """Return S, (K, 5, 5), with `S S'` the inverse of the Fisher information `sum A' A / (g' V g)`."""
-    A = monomials(sample.u)[..., 1:]
-    weighted = A / np.sqrt(residual_variance(sample, B))[..., None]
-    return np.linalg.inv(_triangle(weighted))
+    """Return S, (K, 5, 5), with `S S'` the inverse of the Fisher information `sum A' A / (g' V g)`, A on the curve."""
+    _, variance, A = _on_curve(sample, monomials(sample.u), B)
+    return np.linalg.inv(_invertible(_triangle(A / np.sqrt(variance)[..., None])))
 
 
 def factor_algebraic(sample: Sample, B: FloatArray, weighted: bool) -> FloatArray:
     """Return S, (K, 5, 5), with `S S'` the covariance of an algebraic fit to first order.
 
     Near exact points all of them move by `dB = -(A' W A)^-1 A' W (g dx)`, whatever their normalisation (Kanatani 2008),
-    and so share one covariance; W are the weights of `taubin` if `weighted`, else the identity.
+    and so share one covariance; W are the weights of `taubin` if `weighted`, else the identity; A is on the curve.
     """
+    _, variance, A = _on_curve(sample, monomials(sample.u), B)
     root = np.sqrt(_weights(sample)) if weighted else np.ones((len(B), 1))
-    Q, R = np.linalg.qr(monomials(sample.u)[..., 1:] * root[..., None])
-    spread = np.sqrt(residual_variance(sample, B)) * root
-    middle = _triangle(spread[..., None] * Q)
-    return np.linalg.solve(R, _transpose(middle))
+    Q, R = np.linalg.qr(A * root[..., None])
+    middle = _triangle((np.sqrt(variance) * root)[..., None] * Q)
+    return np.linalg.solve(_invertible(R), _transpose(middle))
 
 
 def _triangle(matrix: FloatArray) -> FloatArray:
     """Return the R of QR alone."""
     return np.asarray(np.linalg.qr(matrix, mode="r"))
+
+
+def _invertible(triangle: FloatArray) -> FloatArray:
+    """Return the triangles with zeros of the diagonal, to rounding, made as small as rounding.
+
+    A zero means that a conic without `x^2` passes through the points: B is then huge, and seen to be no ellipse.
+    """
+    diagonal = np.abs(np.einsum("kii->ki", triangle))
+    tiny = EPS * np.max(diagonal, axis=-1, keepdims=True)
+    if np.all(diagonal > tiny):
+        return triangle
+    return triangle + np.where(diagonal > tiny, 0.0, tiny)[..., None] * np.eye(triangle.shape[-1])
 
 
 def _transpose(matrix: FloatArray) -> FloatArray:

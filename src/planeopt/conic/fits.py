@@ -92,23 +92,21 @@ class ConicFit:
         return None if S is None else S @ np.swapaxes(S, -1, -2)
 
     @property
-    def whitener(self) -> FloatArray | None:
-        """W, shape (..., 5, 5), with `W covariance W' = I`: the inverse of `sqrt_covariance`, or None.
-
-        Formed in local coordinates. It does not exist where the estimated scale is exactly zero.
+    def whitener(self) -> FloatArray:
+        """W, shape (..., 5, 5), with `W covariance W' = I`: the inverse of `sqrt_covariance`, by local coordinates.
 
         Raises
         ------
-        numpy.linalg.LinAlgError
-            The estimated scale is exactly zero.
+        planeopt.errors.InputError
+            There is no covariance to whiten with: 5 points and no noise given, or exact points and no noise given.
         """
         S = self.sqrt_covariance_local
-        # Local coordinates of points are an affine map too, with the origin and unit of the inverse map.
-        return (
-            None
-            if S is None
-            else np.linalg.solve(S, local_jacobian(-self.origin / self.unit[..., None], 1 / self.unit))
-        )
+        if S is None:
+            raise InputError("5 points leave nothing to estimate their noise from; give sigma")
+        if np.any(S[..., 0, 0] == 0):
+            raise InputError("the points lie on the ellipse exactly, so their noise cannot be estimated; give sigma")
+        # The inverse of the map to local coordinates is such a map too.
+        return np.linalg.solve(S, local_jacobian(-self.origin / self.unit[..., None], 1 / self.unit))
 
     @property
     def matrix(self) -> FloatArray:

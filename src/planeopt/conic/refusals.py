@@ -101,7 +101,7 @@ def _sentence(verdict: Verdict, rows: FloatArray, index: int, lead: tuple[int, .
     if verdict is Verdict.LINE:
         return f"the {n} points lie on a straight line (within their noise), not on an ellipse"
     if verdict is Verdict.NOT_CONVERGED:
-        return f"the ellipse fit to {n} points did not converge: they do not determine an ellipse"
+        return f"the ellipse fit to {n} points did not converge: too much noise for so thin an ellipse, or for so few"
     return f"the {n} points lie on {_ON[verdict]}, not on an ellipse"
 
 
