@@ -11,7 +11,7 @@ import numpy as np
 
 from planeopt.errors import InputError
 from planeopt.plane import Plane, SpotPose
-from planeopt.solution import Solution
+from planeopt.solution import Sigmas, Solution
 
 
 @dataclass(frozen=True)
@@ -46,22 +46,6 @@ class Deviation:
     normal: float
 
 
-@dataclass(frozen=True)
-class TiltError:
-    """The error of a normal in two directions at right angles, rad, for plots with a sign.
-
-    Attributes
-    ----------
-    along : float
-        Error of alpha: about the axis that the plane is tilted about.
-    across : float or None
-        Error of beta times sin(alpha); None where beta has no value.
-    """
-
-    along: float
-    across: float | None
-
-
 def deviation(pose: SpotPose, plane: Plane, other_pose: SpotPose, other_plane: Plane) -> Deviation:
     """Return how far a plane is from another one; the normals are compared in the camera frame."""
     return Deviation(pose.z_L - other_pose.z_L, plane.angle_to(other_plane))
@@ -74,12 +58,62 @@ def error_of(solution: Solution, truth: Truth) -> Deviation | None:
     return deviation(solution.pose, solution.plane, truth.pose, truth.plane)
 
 
-def tilt_error(pose: SpotPose, truth: SpotPose) -> TiltError:
-    """Return the error of a pose's angles, as arcs on the sphere of normals."""
-    across = None
-    if pose.beta is not None and truth.beta is not None:
-        across = math.sin(truth.alpha) * math.remainder(pose.beta - truth.beta, math.tau)
-    return TiltError(pose.alpha - truth.alpha, across)
+@dataclass(frozen=True, eq=False)
+class Score:
+    """A solution that has a plane, held against the truth.
+
+    Attributes
+    ----------
+    name : str
+        Of the target.
+    pose, plane : SpotPose, Plane
+        Measured.
+    sigma : Sigmas or None
+        Standard deviations of the measurement, mm and rad.
+    truth : Truth
+    """
+
+    name: str
+    pose: SpotPose
+    plane: Plane
+    sigma: Sigmas | None
+    truth: Truth
+
+    @classmethod
+    def of(cls, name: str, solution: Solution, truth: Truth) -> "Score | None":
+        """Return the score of a solution; None where it has no plane."""
+        if solution.pose is None or solution.plane is None:
+            return None
+        return cls(name, solution.pose, solution.plane, solution.sigma, truth)
+
+    @property
+    def error(self) -> Deviation:
+        return deviation(self.pose, self.plane, self.truth.pose, self.truth.plane)
+
+    @property
+    def depth_sigmas(self) -> float | None:
+        """Error of z_L in its own standard deviations."""
+        return None if self.sigma is None else self.error.depth / self.sigma.z_L
+
+    @property
+    def normal_sigmas(self) -> float | None:
+        """Angle between the normals over its own RMS."""
+        return None if self.sigma is None else self.error.normal / self.sigma.normal
+
+    @property
+    def along(self) -> tuple[float, float]:
+        """Error of alpha and its standard deviation, rad (NaN if unknown): of the normal along the tilt."""
+        sigma = math.nan if self.sigma is None or self.sigma.alpha is None else self.sigma.alpha
+        return self.pose.alpha - self.truth.pose.alpha, sigma
+
+    @property
+    def across(self) -> tuple[float, float]:
+        """sin(alpha) times the error of beta, as `along`: of the normal at right angles to that."""
+        if self.pose.beta is None or self.truth.pose.beta is None:
+            return math.nan, math.nan
+        sine = math.sin(self.truth.pose.alpha)
+        sigma = math.nan if self.sigma is None or self.sigma.beta is None else self.sigma.beta
+        return sine * math.remainder(self.pose.beta - self.truth.pose.beta, math.tau), sine * sigma
 
 
 def truth_beside(path: str | os.PathLike[str]) -> Truth | None:

@@ -7,12 +7,15 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from planeopt.accuracy import Deviation, Truth, deviation, error_of
+from planeopt.accuracy import Deviation, Truth, deviation, error_of, truth_beside
+from planeopt.batch import measure
+from planeopt.errors import InputError
 from planeopt.estimation import solve_problem
 from planeopt.estimation.starts import StartLike
 from planeopt.formulations import ClosedForm, Problem
 from planeopt.methods import METHODS, Method
 from planeopt.plane import Plane, SpotPose
+from planeopt.record import PoseRecord, finite, input_error
 from planeopt.rig import Rig
 from planeopt.solution import Solution
 from planeopt.spot import Spot
@@ -80,7 +83,7 @@ class Row:
             "alpha_deg": None if pose is None else math.degrees(pose.alpha),
             "beta_deg": None if pose is None else _degrees(pose.beta),
             "R_mm": None if pose is None else pose.R,
-            "sigma_z_L_mm": None if sigma is None else sigma.z_L,
+            "sigma_z_L_mm": None if sigma is None else finite(sigma.z_L),
             "sigma_normal_deg": None if sigma is None else _degrees(sigma.normal),
             "root": None if self.root is None else self.root.name.lower(),
             "z_L_minus_closed_form_mm": None if self.from_closed_form is None else self.from_closed_form.depth,
@@ -89,15 +92,15 @@ class Row:
             else _degrees(self.from_closed_form.normal),
             "z_L_error_mm": None if self.error is None else self.error.depth,
             "normal_error_deg": None if self.error is None else _degrees(self.error.normal),
-            "chi2": solution.chi2,
-            "p_value": solution.p_value,
+            "chi2": finite(solution.chi2),
+            "p_value": finite(solution.p_value),
             "iterations": effort.iterations,
             "evaluations": effort.evaluations,
             "derivative_evaluations": effort.derivative_evaluations,
             "build_ms": 1e3 * effort.build_s,
             "solve_ms": 1e3 * effort.solve_s,
             "total_ms": 1e3 * self.seconds,
-            "residuals": {f"{r.equation} {r.unit}": r.value for r in solution.residuals},
+            "residuals": {f"{r.equation} {r.unit}": finite(r.value) for r in solution.residuals},
         }
 
 
@@ -148,6 +151,36 @@ def compare(
     return Comparison(tuple(_row(problem, method, start, direct, truth) for method in methods))
 
 
+@dataclass(frozen=True, eq=False)
+class FileComparison:
+    """A comparison for one file.
+
+    Attributes
+    ----------
+    record : PoseRecord
+        Of the default method; its status and message say why there is no comparison, where there is none.
+    truth : Truth or None
+        Of the JSON file beside the image.
+    comparison : Comparison or None
+    """
+
+    record: PoseRecord
+    truth: Truth | None = None
+    comparison: Comparison | None = None
+
+
+def compare_file(path: str, rig: Rig) -> FileComparison:
+    """Compare all methods on an image or a `.csv` of boundary points; never raises for what is wrong with the file."""
+    measured = measure(path, rig)
+    if measured.spot is None or measured.solution is None:
+        return FileComparison(measured.record)
+    try:
+        truth = truth_beside(path)
+    except InputError as error:
+        return FileComparison(input_error(path, str(error)))
+    return FileComparison(measured.record, truth, compare(measured.spot, rig, truth=truth))
+
+
 def _row(problem: Problem, method: Method, start: StartLike | None, direct: Solution, truth: Truth | None) -> Row:
     begun = time.perf_counter()
     solution = solve_problem(problem, formulation=method.formulation, solver=method.solver, start=start, restart=False)
@@ -182,4 +215,5 @@ def _distance(pose: SpotPose, plane: Plane, other_pose: SpotPose, other_plane: P
 
 
 def _degrees(angle: float | None) -> float | None:
-    return None if angle is None else math.degrees(angle)
+    value = finite(angle)
+    return None if value is None else math.degrees(value)

@@ -153,18 +153,18 @@ def from_solution(name: str, solution: Solution) -> PoseRecord:
         normal=None if plane is None else _triple(plane.normal),
         point_mm=None if plane is None else _triple(plane.point),
         intercepts_mm=Intercepts() if plane is None else _intercepts(plane),
-        slopes=Slopes(p=_finite(slopes[0]), q=_finite(slopes[1])),
+        slopes=Slopes(p=finite(slopes[0]), q=finite(slopes[1])),
         sigma=_sigma(solution.sigma),
         sigma_spot=_sigma(solution.sigma_spot),
         covariance=_covariance(solution.covariance),
-        chi2=_finite(solution.chi2),
-        dof=None if _finite(solution.chi2) is None else solution.dof,
-        p_value=_finite(solution.p_value),
-        chi2_points=_finite(solution.chi2_points),
+        chi2=finite(solution.chi2),
+        dof=None if finite(solution.chi2) is None else solution.dof,
+        p_value=finite(solution.p_value),
+        chi2_points=finite(solution.chi2_points),
         dof_points=solution.dof_points,
         other_plane=_other_plane(solution.other_plane),
         n_points=solution.n_points,
-        arc_fraction=_finite(solution.arc_fraction),
+        arc_fraction=finite(solution.arc_fraction),
         flags=_names((*cause, *solution.flags)),
     )
 
@@ -211,14 +211,14 @@ def _intercepts(plane: Plane) -> Intercepts:
         a, b, c = plane.intercepts
     except InputError:  # a plane through the camera's centre has none
         return Intercepts()
-    return Intercepts(a=_finite(a), b=_finite(b), c=_finite(c))
+    return Intercepts(a=finite(a), b=finite(b), c=finite(c))
 
 
 def _sigma(sigma: Sigmas | None) -> SigmaRecord:
     if sigma is None:
         return SigmaRecord()
     return SigmaRecord(
-        z_L_mm=_finite(sigma.z_L),
+        z_L_mm=finite(sigma.z_L),
         alpha_deg=_degrees(sigma.alpha),
         beta_deg=_degrees(sigma.beta),
         normal_deg=_degrees(sigma.normal),
@@ -238,9 +238,10 @@ def _triple(vector: NDArray[np.floating]) -> Triple:
 
 
 def _degrees(angle: float | None) -> float | None:
-    finite = _finite(angle)
-    return None if finite is None else math.degrees(finite)
+    value = finite(angle)
+    return None if value is None else math.degrees(value)
 
 
-def _finite(value: float | None) -> float | None:
+def finite(value: float | None) -> float | None:
+    """Return the value as JSON can hold it: None where it is not a finite number."""
     return None if value is None or not math.isfinite(value) else float(value)

@@ -1,0 +1,68 @@
+"""The command line: parses, calls, prints.
+
+A command's heavy imports happen inside it, so that help answers at once. Whatever is wrong with what the user gave ends
+as one line on standard error and exit status 1.
+"""
+
+import os
+import sys
+from collections.abc import Sequence
+
+from cyclopts import App, CycloptsError
+
+from planeopt import __version__
+from planeopt.cli.compare import compare
+from planeopt.cli.demo import demo
+from planeopt.cli.messages import complain
+from planeopt.cli.pose import pose
+from planeopt.cli.reproduce import reproduce
+from planeopt.errors import InputError
+
+INTERRUPTED = 130
+"""What shells report for a process ended by the keyboard's interrupt: 128 and the number of SIGINT."""
+
+
+def build_app() -> App:
+    """Return the application with all its commands."""
+    app = App(
+        name="planeopt",
+        help="Measure a plane with one camera and one cylindrical laser beam.",
+        version=__version__,
+        suppress_keyboard_interrupt=False,
+    )
+    for command in (demo, pose, compare, reproduce):
+        app.command(command)
+    return app
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Without the program's name; `sys.argv` unless given.
+
+    Returns
+    -------
+    int
+        Exit status: 0 ok; 1 something given cannot be used; 2 a pose is degraded or refused; 130 interrupted.
+    """
+    try:
+        status = build_app()(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        sys.stdout.flush()
+    except CycloptsError as error:
+        return complain(f"{error} See planeopt --help.")
+    except InputError as error:
+        return complain(str(error))
+    except BrokenPipeError:
+        # Whoever read the output has gone. Python would fail again when it flushes at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return complain(f"{where}{error.strerror or error}")
+    except KeyboardInterrupt:
+        complain("interrupted")
+        return INTERRUPTED
+    return status or 0
