@@ -42,8 +42,8 @@ class Model:
     rows : tuple of Row
     plane : casadi expression
         ``(z_L, p, q)`` of the laser-parallel frame as a function of ``x`` (and of ``p``, where units are parameters).
-    data : slice
-        Which parameters are measured, so that the covariance can be carried through the KKT conditions.
+    data : casadi symbol
+        The measured part of ``p``, so that its covariance can be carried through the KKT conditions.
     """
 
     name: str
@@ -54,7 +54,7 @@ class Model:
     constraints: Symbol
     rows: tuple[Row, ...]
     plane: Symbol
-    data: slice
+    data: Symbol
 
     @cached_property
     def values(self) -> ca.Function:
@@ -69,19 +69,24 @@ class Model:
         return ca.Function("first", [self.x, self.p], [self.objective, gradient, self.constraints, jacobian])
 
     @cached_property
-    def second_order(self) -> ca.Function:
-        """``(x, p, multipliers) -> Hessian of the Lagrangian, d(its gradient)/d data, dg/d data``; data = measured ``p``."""
+    def _lagrangian(self) -> tuple[Symbol, Symbol]:
         multipliers = type(self.x).sym("multipliers", self.constraints.shape[0])
-        lagrangian = self.objective + ca.dot(multipliers, self.constraints)
-        gradient = ca.gradient(lagrangian, self.x)
+        return multipliers, self.objective + ca.dot(multipliers, self.constraints)
+
+    @cached_property
+    def hessian(self) -> ca.Function:
+        """``(x, p, multipliers) -> Hessian of the Lagrangian``."""
+        multipliers, lagrangian = self._lagrangian
+        return ca.Function("hessian", [self.x, self.p, multipliers], [ca.hessian(lagrangian, self.x)[0]])
+
+    @cached_property
+    def data_adjoint(self) -> ca.Function:
+        """``(x, p, multipliers, w, m) -> d (w' grad L + m' g) / d data``: one reverse sweep, however many data there are."""
+        multipliers, lagrangian = self._lagrangian
+        w, m = type(self.x).sym("w", self.x.shape[0]), type(self.x).sym("m", self.constraints.shape[0])
+        weighted = ca.jtimes(lagrangian, self.x, w) + ca.dot(m, self.constraints)
         return ca.Function(
-            "second",
-            [self.x, self.p, multipliers],
-            [
-                ca.jacobian(gradient, self.x),
-                ca.jacobian(gradient, self.p)[:, self.data],
-                ca.jacobian(self.constraints, self.p)[:, self.data],
-            ],
+            "data_adjoint", [self.x, self.p, multipliers, w, m], [ca.vec(ca.gradient(weighted, self.data))]
         )
 
     @cached_property
@@ -119,6 +124,9 @@ PHYSICAL = 1e-9
 WHITENED = 1e-6
 """Resolution of an unknown measured in standard deviations."""
 
+SLACK = 1e-4
+"""Resolution of a slack, in standard deviations: where ``Sigma_B`` is ill conditioned, B's own rounding shows in it."""
+
 
 @dataclass(frozen=True)
 class Nlp:
@@ -137,8 +145,8 @@ class Nlp:
     data_factor : (n_data, m), dense or sparse
         ``S`` with ``S S'`` the covariance of the measured parameters.
     resolution : (n_x,)
-        What counts as no change of an unknown: of a physical one a billionth of its size, of a whitened one (slack in
-        standard deviations, say) a millionth. Both are far above rounding and far below what data can tell.
+        What counts as no change of an unknown: see `PHYSICAL`, `WHITENED` and `SLACK`: above rounding, far
+        below what data can tell.
     """
 
     model: Model

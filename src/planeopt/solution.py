@@ -102,8 +102,11 @@ class Identifiability:
         )
 
 
-FEASIBLE = 1e-6
-"""Largest violation of a constraint, in units of its scale, at a solution."""
+FEASIBLE = 1e-4
+"""Largest violation of a constraint at a solution, in units of its row (standard deviations of B, or radii of the beam).
+
+It can be loose, because the Newton step that must also be small goes onto the constraints; tighter, and a row whose standard
+deviation is near the rounding of B itself could never pass."""
 
 DUAL = 1e-6
 """Largest multiplier with the wrong sign, over the size of the multipliers, at a solution."""

@@ -63,7 +63,7 @@ def fit_quality(problem: Problem, plane: Array, effect: Sensitivity | None) -> F
     if problem.scale_dof == 0:
         return Fit(None, None, None, None)
     v = slope_variables(plane, problem.setup)
-    whitened = scipy.linalg.solve(problem.B_factor, image_misfit(problem, plane))
+    whitened = np.linalg.solve(problem.B_factor, image_misfit(problem, plane))
     chi2 = float(whitened @ whitened)
     b = eq.image_conic_in_slopes(np, v, problem.setup)
     ellipse = np.array(b[1:]) / b[0]

@@ -10,7 +10,7 @@ from planeopt import equations as eq
 from planeopt.formulations.base import Start
 from planeopt.formulations.bounds import Variables, pose_bounds, pose_scale
 from planeopt.formulations.problem import Problem
-from planeopt.nlp import PHYSICAL, WHITENED, Model, Nlp, Row
+from planeopt.nlp import PHYSICAL, SLACK, Model, Nlp, Row
 
 # A coefficient of B can vanish by symmetry, and 1/B_i^2 would then be no mild weight at all: this much of the size that
 # the coefficient has for an ellipse of this kind is added.
@@ -57,7 +57,7 @@ class Constrained:
             np.concatenate([scale, np.ones(5)]),
             np.concatenate([sigma_B, [beam_scale, beam_scale, r]]),
             problem.B_factor,
-            np.concatenate([PHYSICAL * scale, np.full(5, WHITENED)]),
+            np.concatenate([PHYSICAL * scale, np.full(5, SLACK)]),
         )
 
 
@@ -93,5 +93,5 @@ def _model(variables: Variables) -> Model:
         ca.vertcat(rows, on_beam, in_front, lit),
         (*(Row(e) for e in eq.IMAGE_BLOCK), Row(hard), *(Row(e, equality=False) for e in visible)),
         plane,
-        slice(4, 9),
+        p[4:9],
     )

@@ -15,7 +15,7 @@ from planeopt.formulations.bounds import pose_bounds, pose_scale
 from planeopt.formulations.identifiability import ten_jacobian
 from planeopt.formulations.problem import Problem
 from planeopt.formulations.snooping import detectability, image_misfit
-from planeopt.nlp import PHYSICAL, WHITENED, Model, Nlp, Row
+from planeopt.nlp import PHYSICAL, SLACK, Model, Nlp, Row
 
 Array = NDArray[np.floating]
 
@@ -54,7 +54,7 @@ class Elastic:
             np.concatenate([scale, np.ones(20)]),
             np.concatenate([1 / weights, [r, r]]),
             problem.B_factor,
-            np.concatenate([PHYSICAL * scale, np.full(20, WHITENED)]),
+            np.concatenate([PHYSICAL * scale, np.full(20, SLACK)]),
         )
 
 
@@ -118,5 +118,5 @@ def _model() -> Model:
         ca.vertcat(ten, *(e(ca, v, k) / k.r for e in VISIBLE)),
         (*(Row(e) for e in eq.TEN), *(Row(e, equality=False) for e in VISIBLE)),
         ca.vertcat(v.z_L, *eq.slopes(ca, v)),
-        slice(4, 9),
+        p[4:9],
     )

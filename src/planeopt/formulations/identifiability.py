@@ -41,7 +41,7 @@ def identify(problem: Problem, start: Start) -> Identifiability:
     independent = np.asarray(independent_jacobian()(slopes, np.concatenate([problem.setup, problem.B]))) * columns
     independent[0] /= r**2
     # Whitened by the covariance of B, the image rows are comparable with each other; the largest sets the unit.
-    independent[1:] = scipy.linalg.solve(problem.B_factor, independent[1:])
+    independent[1:] = np.linalg.solve(problem.B_factor, independent[1:])
     independent[1:] /= max(float(np.linalg.norm(independent[1:])), np.finfo(float).tiny)
     values, right = np.linalg.svd(independent)[1:]
     deficient = values[-1] <= 1e-3 * RANK_TOLERANCE * values[0]

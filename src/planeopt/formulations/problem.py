@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planeopt.conic import ConicFit, arc_fraction, fit_conic, geometric_from_conic, is_ellipse
+from planeopt.conic import arc_fraction, fit_conic, geometric_from_conic, is_ellipse
 from planeopt.equations import Setup
 from planeopt.errors import InputError
 from planeopt.rig import Rig
@@ -14,11 +14,12 @@ from planeopt.spot import Spot
 
 Array = NDArray[np.floating]
 
-NOISE_FLOOR = 1e-9
-"""Smallest noise standard deviation, as a fraction of the ellipse's RMS radius.
+NOISE_FLOOR = 1e-7
+"""Smallest noise standard deviation, as a fraction of the points' RMS distance from their mean.
 
-A double-precision image coordinate is rounded at about 1e-13 of that radius or more; below the floor the residuals of exact
-points are rounding, not noise, and weighting by them would make the tests of the solution meaningless.
+Below it exact points would be weighted by their rounding: a coordinate 40 radii from the origin is rounded at 1e-14 of the
+radius, which leaves the residuals, in standard deviations, seven digits. No camera measures a boundary so well: it is 1e-5
+px for a spot of 100 px.
 """
 
 
@@ -103,22 +104,24 @@ class Problem:
         xy = np.asarray(points, dtype=float)
         known = scale_known and noise is not None
         covariances = _covariances(len(xy), 1.0 if noise is None else noise)
+        # The floor: an unknown scale is sought from there upwards, a given one is not believed below it.
+        typical2 = float(np.median(np.trace(covariances, axis1=1, axis2=2))) / 2
+        floor2 = NOISE_FLOOR**2 * float(np.sum(np.var(xy, axis=0))) / typical2
+        if not known:
+            covariances = covariances * floor2
         fit = fit_conic(xy, covariances)
         flags: list[Flag] = []
-        scale2, scale_dof = 1.0, None
+        scale2, scale_dof = max(1.0, floor2), None
         if not known:
             flags.append(Flag.SCALE_ESTIMATED)
             scale_dof = len(xy) - 5
-            scale2 = float(fit.chi2) / scale_dof if scale_dof else 1.0
-        floor2 = _floor(fit) ** 2 / np.median(np.trace(covariances, axis1=1, axis2=2) / 2)
-        if scale2 < floor2:
+            scale2 = max(1.0, float(np.asarray(fit.chi2)) / scale_dof) if scale_dof else 1.0
+        if scale2 == 1.0 and not known or scale2 == floor2:
             flags.append(Flag.SCALE_AT_FLOOR)
-            scale2 = float(floor2)
-        factor = _factor(fit) * np.sqrt(scale2)
         return cls(
             setup,
             np.asarray(fit.B, dtype=float),
-            factor,
+            np.asarray(fit.sqrt_covariance, dtype=float) * np.sqrt(scale2),
             xy,
             covariances * scale2,
             scale_dof,
@@ -175,12 +178,3 @@ def _covariances(n: int, noise: ArrayLike) -> Array:
     if sigma.ndim == 3:
         return sigma
     return np.broadcast_to(sigma, (n,))[:, None, None] ** 2 * np.eye(2)
-
-
-def _floor(fit: ConicFit) -> float:
-    return NOISE_FLOOR * float(np.sqrt(np.mean(np.square(geometric_from_conic(fit.B).semi_axes))))
-
-
-def _factor(fit: ConicFit) -> Array:
-    """S of the fit for unit noise scale."""
-    return np.asarray(fit.sqrt_covariance, dtype=float)

@@ -126,19 +126,20 @@ def _model(n: int) -> Model:
         )
     )
     p = ca.veccat(setup, points, triangles, centre, plane_unit, angle_unit)
-    pose, angles = centre[:3] + plane_unit @ x[:3], centre[3:] + angle_unit * x[3:]
+    # The pose comes last: eliminated first, its three full columns would fill the KKT matrix.
+    pose, angles = centre[:3] + plane_unit @ x[n:], centre[3:] + angle_unit * x[:n]
     residuals = distance.map(n)(pose, angles.T, setup, points, triangles)
     k, v = eq.Setup(*ca.vertsplit(setup)), eq.SlopeVariables(None, *ca.vertsplit(pose))
     visible = (eq.before_camera, eq.in_front_in_slopes, eq.lit_side_in_slopes)
     rows = [e(ca, v, k) / scale for e, scale in zip(visible, (k.r, k.r**2, k.r), strict=True)]
     return Model(
         f"reprojection_{n}",
-        ("z_L", "p", "q", *(f"phi_{i}" for i in range(n))),
+        (*(f"phi_{i}" for i in range(n)), "z_L", "p", "q"),
         x,
         p,
         0.5 * ca.sumsqr(residuals),
         ca.vertcat(*rows),
         tuple(Row(e, equality=False) for e in visible),
         pose,
-        slice(4, 4 + 2 * n),
+        points,
     )

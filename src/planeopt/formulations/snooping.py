@@ -36,7 +36,7 @@ def detectability(problem: Problem, plane: Array) -> Array:
     """
     R = problem.setup.r * np.sqrt(1 + plane[1] ** 2 + plane[2] ** 2)
     rows = independent_jacobian()(np.array([R, *plane]), np.concatenate([problem.setup, problem.B]))
-    whitened = scipy.linalg.solve(problem.B_factor, np.asarray(rows)[1:, 1:])
+    whitened = np.linalg.solve(problem.B_factor, np.asarray(rows)[1:, 1:])
     basis = np.linalg.qr(whitened / np.linalg.norm(whitened, axis=0))[0]
     left_over = scipy.linalg.null_space(basis.T).T @ np.linalg.inv(problem.B_factor)
     return np.linalg.norm(left_over, axis=0)

@@ -106,7 +106,7 @@ def _model(name: str, x: ca.SX, p: ca.SX, objective: ca.SX, equalities: list[tup
         ca.vertcat(*rows),
         (*(Row(e) for e, _ in equalities), *(Row(e, equality=False) for e in VISIBLE)),
         ca.vertcat(v.z_L, *eq.slopes(ca, v)),
-        slice(4, 9),
+        p[4:9],
     )
 
 

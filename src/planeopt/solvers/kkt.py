@@ -39,8 +39,8 @@ class System:
     rows : (m_rows,) of int
         Which rows of the model the first of the active constraints are; the rest are bounds.
     n_equalities : int
-    gradient_by_data : DM (n, n_data)
-    rows_by_data : DM (m_rows, n_data)
+    row_multipliers : (n_rows,)
+        Of the model's rows, zero where not active.
     """
 
     kkt: ca.DM
@@ -49,8 +49,7 @@ class System:
     multipliers: Array
     rows: NDArray[np.integer]
     n_equalities: int
-    gradient_by_data: ca.DM
-    rows_by_data: ca.DM
+    row_multipliers: Array
 
 
 def check(nlp: Nlp, x: Array) -> KktCheck:
@@ -142,8 +141,16 @@ def plane_covariance(nlp: Nlp, x: Array) -> tuple[Array | None, str | None]:
     error = np.abs(np.asarray(system.kkt @ ca.DM(adjoint)) - load).max()
     if not error <= 1e-6 * np.abs(load).max():
         return None, "the KKT matrix is singular: the data do not fix every unknown here"
-    by_data = system.gradient_by_data.T @ adjoint[:n] + system.rows_by_data.T @ adjoint[n : n + len(system.rows)]
-    root = np.asarray(by_data).T @ nlp.data_factor
+    by_unknowns = adjoint[:n] * nlp.x_scale[:, None]
+    by_rows = np.zeros((len(model.rows), 3))
+    by_rows[system.rows] = adjoint[n : n + len(system.rows)]
+    by_data = [
+        np.asarray(
+            model.data_adjoint(x, nlp.parameters, system.row_multipliers, by_unknowns[:, i], by_rows[:, i])
+        ).ravel()
+        for i in range(3)
+    ]
+    root = np.array(by_data) @ nlp.data_factor
     covariance = root @ root.T
     if not (np.isfinite(covariance).all() and (np.diag(covariance) > 0).all()):
         return None, "the covariance from the KKT matrix is not positive definite"
@@ -174,7 +181,7 @@ def linearise(nlp: Nlp, x: Array) -> System:
     solved = _multipliers(dense, slope, len(equalities))
     multipliers = np.zeros(len(model.rows))
     multipliers[rows] = solved[: len(rows)]
-    hessian, gradient_by_data, rows_by_data = model.second_order(x, nlp.parameters, multipliers)
+    hessian = model.hessian(x, nlp.parameters, multipliers)
     kept = _independent(dense)
     kept_rows = rows[kept[kept < len(rows)]]
     active = active[kept.tolist(), :]
@@ -186,8 +193,7 @@ def linearise(nlp: Nlp, x: Array) -> System:
         solved,
         kept_rows,
         len(equalities),
-        scaling @ gradient_by_data,
-        rows_by_data[kept_rows.tolist(), :],
+        multipliers,
     )
 
 
