@@ -1,7 +1,7 @@
 """`planeopt compare`: every formulation with every solver that suits it."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -65,73 +65,71 @@ def _show(results: Sequence["FileComparison"]) -> int:
     return exit_status(result.record.status for result in results)
 
 
+_ANSWERS = [
+    ("z_L mm", "z_L_mm", ".4f"),
+    ("alpha deg", "alpha_deg", ".4f"),
+    ("beta deg", "beta_deg", ".4f"),
+    ("R mm", "R_mm", ".4f"),
+    ("chi2", "chi2", ".3g"),
+]
+_FROM_CLOSED_FORM = [
+    ("depth from closed form mm", "z_L_minus_closed_form_mm", "+.1e"),
+    ("normal from it deg", "normal_to_closed_form_deg", ".1e"),
+]
+_ERRORS = [("depth error mm", "z_L_error_mm", "+.4f"), ("normal error deg", "normal_error_deg", ".4f")]
+_EFFORT = [
+    ("iterations", "iterations", "d"),
+    ("evaluations", "evaluations", "d"),
+    ("derivative evaluations", "derivative_evaluations", "d"),
+    ("build ms", "build_ms", ".2f"),
+    ("solve ms", "solve_ms", ".2f"),
+    ("with checks and covariance ms", "total_ms", ".2f"),
+]
+
+
 def _print_tables(console: "Console", name: str, comparison: "Comparison", truth: "Truth | None") -> None:
     rows = comparison.to_dicts()
-    console.print(_answers(name, rows, truth))
+    answers = _table(f"{name}: answers", rows, [("outcome", "outcome"), ("plane", "root")], _ANSWERS)
+    console.print(answers)
     for row in rows:
         if row["status"] != "ok":
-            console.print(f"{row['formulation']} + {row['solver']}: {row['message']}", markup=False, highlight=False)
-    console.print(_effort(rows))
-    console.print(_residuals(rows))
+            console.print(f"{_method(row)}: {row['message']}", markup=False, highlight=False)
+    console.print(_table("differences", rows, [], _FROM_CLOSED_FORM + ([] if truth is None else _ERRORS)))
+    console.print(_table("effort", rows, [], _EFFORT))
+    equations = dict.fromkeys(equation for row in rows for equation in row["residuals"])
+    residuals = [row | {equation: row["residuals"].get(equation) for equation in equations} for row in rows]
+    columns = [(equation, equation, ".1e") for equation in equations]
+    console.print(_table("the ten equations at the solution, left minus right", residuals, [], columns))
 
 
-def _answers(name: str, rows: Sequence[dict[str, Any]], truth: "Truth | None") -> "Table":
-    table = _table(f"{name}: answers", ["formulation", "solver", "outcome", "plane"])
-    columns = [
-        ("z_L mm", "z_L_mm", ".4f"),
-        ("alpha deg", "alpha_deg", ".4f"),
-        ("beta deg", "beta_deg", ".4f"),
-        ("R mm", "R_mm", ".4f"),
-        ("chi2", "chi2", ".3g"),
-        ("z_L - closed form", "z_L_minus_closed_form_mm", "+.1e"),
-        ("normal to it deg", "normal_to_closed_form_deg", ".1e"),
-    ]
-    if truth is not None:
-        columns += [("z_L error mm", "z_L_error_mm", "+.4f"), ("normal error deg", "normal_error_deg", ".4f")]
-    for title, _, _ in columns:
-        table.add_column(title, justify="right")
-    for row in rows:
-        words = [row["formulation"], row["solver"], row["outcome"], row["root"] or "-"]
-        table.add_row(*words, *(_number(row[key], style) for _, key, style in columns))
-    return table
-
-
-def _effort(rows: Sequence[dict[str, Any]]) -> "Table":
-    table = _table("effort", ["formulation", "solver"])
-    columns = [
-        ("iterations", "iterations", "d"),
-        ("evaluations", "evaluations", "d"),
-        ("derivative evaluations", "derivative_evaluations", "d"),
-        ("build ms", "build_ms", ".2f"),
-        ("solve ms", "solve_ms", ".2f"),
-        ("all, with checks and covariance, ms", "total_ms", ".2f"),
-    ]
-    for title, _, _ in columns:
-        table.add_column(title, justify="right")
-    for row in rows:
-        table.add_row(row["formulation"], row["solver"], *(_number(row[key], style) for _, key, style in columns))
-    return table
-
-
-def _residuals(rows: Sequence[dict[str, Any]]) -> "Table":
-    table = _table("the ten equations at the solution, left minus right", ["formulation", "solver"])
-    equations = next((list(row["residuals"]) for row in rows if row["residuals"]), [])
-    for equation in equations:
-        table.add_column(equation, justify="right")
-    for row in rows:
-        values = (_number(row["residuals"].get(equation), ".1e") for equation in equations)
-        table.add_row(row["formulation"], row["solver"], *values)
-    return table
-
-
-def _table(title: str, words: Sequence[str]) -> "Table":
+def _table(
+    title: str,
+    rows: Sequence[Mapping[str, Any]],
+    words: Sequence[tuple[str, str]],
+    numbers: Sequence[tuple[str, str, str]],
+) -> "Table":
+    """Return a table with a row a method: columns of words (heading, key), then of numbers (heading, key, format)."""
     from rich import box
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
-    for word in words:
-        table.add_column(word)
+    table.add_column("method", no_wrap=True)
+    for heading, _ in words:
+        table.add_column(heading)
+    for heading, _, _ in numbers:
+        table.add_column(heading, justify="right")
+    for row in rows:
+        table.add_row(
+            _method(row),
+            *(row[key] or "-" for _, key in words),
+            *(_number(row[key], style) for _, key, style in numbers),
+        )
     return table
+
+
+def _method(row: Mapping[str, Any]) -> str:
+    solver = row["solver"]
+    return row["formulation"] if solver == "none" else f"{row['formulation']} + {solver}"
 
 
 def _number(value: float | None, style: str) -> str:

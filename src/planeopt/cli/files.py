@@ -91,9 +91,9 @@ def record_file(
     InputError
         If the file cannot be written, exists without `resume` or `force`, or holds records of other inputs.
     """
-    partial = path.with_name(f"{path.name}.part")
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name the file of records to write in it")
+    partial = path.with_name(f"{path.name}.part")
     if resume and force:
         raise InputError("--resume keeps what is there and --force overwrites it: give one of them")
     kept: list[PoseRecord] = []
