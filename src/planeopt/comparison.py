@@ -193,12 +193,13 @@ def _row(problem: Problem, method: Method, start: StartLike | None, direct: Solu
         and direct.plane is not None
     ):
         from_closed_form = deviation(solution.pose, solution.plane, direct.pose, direct.plane)
-        root = _root(solution.pose, solution.plane, direct)
+        root = nearest_root(solution.pose, solution.plane, direct)
     error = None if truth is None else error_of(solution, truth)
     return Row(solution, root, from_closed_form, error, seconds)
 
 
-def _root(pose: SpotPose, plane: Plane, direct: Solution) -> Root:
+def nearest_root(pose: SpotPose, plane: Plane, direct: Solution) -> Root:
+    """Return which of the two planes of a closed-form solution a plane is `NEAR`."""
     candidates: list[tuple[float, Root]] = []
     if direct.pose is not None and direct.plane is not None:
         candidates.append((_distance(pose, plane, direct.pose, direct.plane), Root.VISIBLE))
