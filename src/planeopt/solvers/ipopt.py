@@ -35,8 +35,10 @@ class Ipopt:
             ("ipopt.print_level", 0),
             ("ipopt.sb", "yes"),
             ("ipopt.tol", self.tol),
-            # The default lets IPOPT stop ten thousand times looser than asked.
-            ("ipopt.acceptable_iter", 0),
+            # Where rounding keeps it from tol (exact points), IPOPT may stop a hundred times looser, not the default's
+            # ten thousand; Newton's method finishes, and our own check decides.
+            ("ipopt.acceptable_tol", 100 * self.tol),
+            ("ipopt.acceptable_iter", 3),
             # By default IPOPT moves every bound outwards by 1e-8 and may answer from there.
             ("ipopt.bound_relax_factor", 0.0),
             ("ipopt.max_iter", self.max_iter),
