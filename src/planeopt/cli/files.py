@@ -54,7 +54,7 @@ def output_folder(path: Path, *, force: bool) -> Iterator[Path]:
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write rows with the same keys as a table with a header; None is an empty cell, numbers are exact, no row no header."""
+    """Write rows with the same keys as a table with a header; None is an empty cell, numbers are exact."""
     with path.open("w", encoding="utf-8", newline="") as file:
         if rows:
             table = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
