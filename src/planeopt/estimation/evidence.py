@@ -12,7 +12,7 @@ from planeopt import equations as eq
 from planeopt.closed_form import other_plane
 from planeopt.estimation.rig_part import Sensitivity
 from planeopt.formulations.problem import Problem
-from planeopt.formulations.snooping import detectability, image_misfit
+from planeopt.formulations.snooping import detectability, image_misfit, space_left_by_plane
 from planeopt.plane import Plane, SpotPose
 from planeopt.solution import OtherPlane, Residual, Uncertainty
 
@@ -62,13 +62,10 @@ def fit_quality(problem: Problem, plane: Array, effect: Sensitivity | None) -> F
     """
     if problem.scale_dof == 0:
         return Fit(None, None, None, None)
-    v = slope_variables(plane, problem.setup)
     whitened = np.linalg.solve(problem.B_factor, image_misfit(problem, plane))
     chi2 = float(whitened @ whitened)
-    b = eq.image_conic_in_slopes(np, v, problem.setup)
-    ellipse = np.array(b[1:]) / b[0]
     if effect is not None and problem.rig is not None and problem.rig.covariance is not None:
-        chi2 -= _discount(effect, problem.rig.covariance.matrix, problem, ellipse)
+        chi2 -= _discount(whitened, effect, problem.rig.covariance.matrix, problem, plane)
     p_value = float(
         scipy.stats.chi2.sf(chi2, DOF)
         if problem.scale_dof is None
@@ -76,20 +73,24 @@ def fit_quality(problem: Problem, plane: Array, effect: Sensitivity | None) -> F
     )
     if problem.points is None or problem.scale_dof is not None:
         return Fit(chi2, p_value, None, None)
-    distances = _whitened_distances(problem, ellipse)[0]
+    b = eq.image_conic_in_slopes(np, slope_variables(plane, problem.setup), problem.setup)
+    distances = _whitened_distances(problem, np.array(b[1:]) / b[0])[0]
     return Fit(chi2, p_value, float(distances @ distances), problem.n_points - 3)
 
 
-def _discount(effect: Sensitivity, rig_covariance: Array, problem: Problem, ellipse: Array) -> float:
+def _discount(whitened: Array, effect: Sensitivity, rig_covariance: Array, problem: Problem, plane: Array) -> float:
     """What the rig's own uncertainty takes off chi-squared: ``t't - t'(I + T Sigma T')^-1 t``.
 
-    In the whitened space of the points' distances the free ellipse spans five directions, the plane three of them. The two
-    left over carry the statistic ``t``, with unit covariance from the spot and ``T Sigma T'`` from the rig.
+    Of the five directions of the whitened misfit of B the plane takes three. The two left over carry the statistic
+    ``t``, with unit covariance from the spot and ``T Sigma T'`` from the rig, whose effect on the points' distances is
+    that of a change of B found by least squares.
     """
-    distances, by_ellipse = _whitened_distances(problem, ellipse)
-    free = np.linalg.qr(by_ellipse)[0]
-    left_over = free @ scipy.linalg.null_space((free.T @ effect.residual_by_plane).T)
-    t, by_rig = left_over.T @ distances, left_over.T @ effect.residual_by_rig
+    b = eq.image_conic_in_slopes(np, slope_variables(plane, problem.setup), problem.setup)
+    by_B = _whitened_distances(problem, np.array(b[1:]) / b[0])[1]
+    size = np.linalg.norm(by_B, axis=0)
+    B_by_rig = np.linalg.lstsq(by_B / size, effect.residual_by_rig, rcond=None)[0] / size[:, None]
+    left_over = space_left_by_plane(problem, plane)
+    t, by_rig = left_over @ whitened, left_over @ np.linalg.solve(problem.B_factor, B_by_rig)
     total = np.eye(len(t)) + by_rig @ rig_covariance @ by_rig.T
     return float(t @ t - t @ np.linalg.solve(total, t))
 

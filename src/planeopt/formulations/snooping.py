@@ -1,7 +1,6 @@
 """Which image equation is at fault: how an error in one coefficient of B shows in the residuals (Baarda's data snooping)."""
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from planeopt import equations as eq
@@ -34,9 +33,13 @@ def detectability(problem: Problem, plane: Array) -> Array:
     (5,)
         1 over the unit of B_1 ... B_5.
     """
+    return np.linalg.norm(space_left_by_plane(problem, plane) @ np.linalg.inv(problem.B_factor), axis=0)
+
+
+def space_left_by_plane(problem: Problem, plane: Array) -> Array:
+    """Orthonormal basis (2, 5) of the whitened misfits of B that no change of the plane makes: the self-test's space."""
     R = problem.setup.r * np.sqrt(1 + plane[1] ** 2 + plane[2] ** 2)
     rows = independent_jacobian()(np.array([R, *plane]), np.concatenate([problem.setup, problem.B]))
     whitened = np.linalg.solve(problem.B_factor, np.asarray(rows)[1:, 1:])
-    basis = np.linalg.qr(whitened / np.linalg.norm(whitened, axis=0))[0]
-    left_over = scipy.linalg.null_space(basis.T).T @ np.linalg.inv(problem.B_factor)
-    return np.linalg.norm(left_over, axis=0)
+    basis = np.linalg.qr(whitened / np.linalg.norm(whitened, axis=0), mode="complete")[0]
+    return basis[:, 3:].T
