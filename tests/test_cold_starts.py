@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from cases import WORKED, WORKED_SETUP, Array, boundary, circle, random_case, slopes
 
+from cases import WORKED, WORKED_SETUP, Array, boundary, circle, random_case, slopes
 from planeopt import equations as eq
 from planeopt.estimation import solve_problem
 from planeopt.formulations import Constrained, Problem
@@ -40,7 +40,8 @@ def problems() -> list[tuple[Problem, Array]]:
     rng = np.random.default_rng(3)
     exact = boundary(WORKED, WORKED_SETUP, circle(60))
     sigma_mm = SIGMA_PX * 0.005
-    found = [(Problem.from_points(exact + sigma_mm * rng.normal(size=exact.shape), WORKED_SETUP, sigma_mm), slopes(WORKED))]
+    noisy = exact + sigma_mm * rng.normal(size=exact.shape)
+    found = [(Problem.from_points(noisy, WORKED_SETUP, sigma_mm), slopes(WORKED))]
     while len(found) < 21:
         case = random_case(rng, n=60)
         pixels = case.pixels + SIGMA_PX * rng.normal(size=case.pixels.shape)
@@ -78,7 +79,7 @@ def test_without_a_restart_a_failure_is_said(problems: list[tuple[Problem, Array
 
 @pytest.mark.parametrize("variables", ["slopes", "paper"])
 def test_the_second_plane_is_never_the_answer(variables: str) -> None:
-    """Started on the plane behind, which solves all ten equations exactly, the search still returns the one in front."""
+    """Started on the plane behind, which solves all ten equations, the search returns the one in front."""
     exact = boundary(WORKED, WORKED_SETUP, circle(24))
     problem = Problem.from_points(exact, WORKED_SETUP, 1e-4)
     first = solve_problem(problem)

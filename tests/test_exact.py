@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from cases import Case, random_case
 
+from cases import Case, random_case
 from planeopt.estimation import solve
 from planeopt.formulations import ClosedForm, Constrained, Formulation, Reprojection
 from planeopt.solution import Solution

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.stats
-from cases import Array, Case, boundary, circle
 
+from cases import Array, Case, boundary, circle
 from planeopt import equations as eq
 from planeopt.estimation import solve
 from planeopt.estimation.rig_part import sensitivity
@@ -58,8 +58,8 @@ def test_sensitivity_is_the_derivative_of_the_solution(
 ) -> None:
     """At exact points the first-order formula is exact: compared with central differences of a whole new solve.
 
-    With a step of h sigma the difference quotient is off by h^2 times the third derivative; a hundredth of a sigma leaves
-    four digits of it, and solving to 1e-9 leaves more.
+    With a step of h sigma the difference quotient is off by h^2 times the third derivative; a hundredth of a sigma
+    leaves four digits of it, and solving to 1e-9 leaves more.
     """
     spot = Spot(case.pixels, np.full(len(case.pixels), 0.05))
     problem = Problem.from_spot(spot, case.rig)

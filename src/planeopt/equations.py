@@ -32,6 +32,10 @@ Namespace = Any
 """`numpy` or `casadi`: a module with sin, cos and sqrt for the numbers at hand."""
 
 
+Coefficients = Any
+"""B_1 ... B_5: anything that indexes, from arrays to lists of symbols."""
+
+
 class Block(StrEnum):
     """Which measurement an equation speaks of."""
 
@@ -116,7 +120,7 @@ def spot_point(m: Namespace, v: PaperVariables, k: Setup, theta: Any) -> tuple[A
 
 @equation("3", "boundary of the spot in space, in slopes", "mm", Block.GEOMETRY)
 def spot_point_in_slopes(m: Namespace, v: SlopeVariables, k: Setup, phi: Any) -> tuple[Any, Any, Any]:
-    """(3) where ``R cos(alpha) = r`` holds, by the angle ``phi = theta + beta`` round the beam: regular at alpha = 0."""
+    """(3) where ``R cos(alpha) = r`` holds, by the angle ``phi = theta + beta``: regular at alpha = 0."""
     x, y = k.r * m.cos(phi), k.r * m.sin(phi)
     return k.e_x + x, k.e_y + y, v.z_L + v.p * x + v.q * y
 
@@ -278,14 +282,14 @@ def laser_factors(m: Namespace, v: PaperVariables, k: Setup) -> tuple[Any, ...]:
 
 
 @equation("16", "fitted image ellipse", "mm^2", Block.IMAGE)
-def eq16(m: Namespace, B: Sequence[Any], x: Any, y: Any) -> Any:
+def eq16(m: Namespace, B: Coefficients, x: Any, y: Any) -> Any:
     """(16): ``x^2 + B_1 x y + B_2 y^2 + B_3 x + B_4 y + B_5``, zero on the ellipse."""
     del m
     return x * x + B[0] * x * y + B[1] * y * y + B[2] * x + B[3] * y + B[4]
 
 
 def _image_equation(number: str, i: int, unit: str) -> Equation:
-    def residual(m: Namespace, v: PaperVariables, k: Setup, B: Sequence[Any]) -> Any:
+    def residual(m: Namespace, v: PaperVariables, k: Setup, B: Coefficients) -> Any:
         b = image_conic(m, v, k)
         return b[i] / b[0] - B[i - 1]
 
@@ -304,13 +308,13 @@ TEN = LASER_BLOCK + IMAGE_BLOCK
 """The paper's ten equations in its order."""
 
 
-def ten_residuals(m: Namespace, v: PaperVariables, k: Setup, B: Sequence[Any]) -> list[Any]:
+def ten_residuals(m: Namespace, v: PaperVariables, k: Setup, B: Coefficients) -> list[Any]:
     """Left minus right of all ten, in the units of `TEN`."""
     return [e(m, v, k) for e in LASER_BLOCK] + [e(m, v, k, B) for e in IMAGE_BLOCK]
 
 
 @equation("17-21", "image coefficients in slopes", "1, 1, mm, mm, mm^2", Block.IMAGE)
-def image_residuals_in_slopes(m: Namespace, v: SlopeVariables, k: Setup, B: Sequence[Any]) -> list[Any]:
+def image_residuals_in_slopes(m: Namespace, v: SlopeVariables, k: Setup, B: Coefficients) -> list[Any]:
     """(17)-(21) with (6) in slopes: equal to the paper's wherever (11)-(15) hold, and regular at ``alpha = 0``."""
     b = image_conic_in_slopes(m, v, k)
     return [b[i] / b[0] - B[i - 1] for i in range(1, 6)]
@@ -361,7 +365,7 @@ def lit_side_in_slopes(m: Namespace, v: SlopeVariables, k: Setup) -> Any:
 
 
 @equation("23", "image block as constraint", "1, 1, mm, mm, mm^2", Block.IMAGE)
-def eq23(m: Namespace, v: PaperVariables, k: Setup, B: Sequence[Any]) -> list[Any]:
+def eq23(m: Namespace, v: PaperVariables, k: Setup, B: Coefficients) -> list[Any]:
     """(23): ``b_i/b_0 - B_i = 0``, i = 1..5, as one vector: (17)-(21)."""
     return [e(m, v, k, B) for e in IMAGE_BLOCK]
 

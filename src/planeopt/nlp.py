@@ -1,6 +1,7 @@
 """A nonlinear programme as data: symbolic once (`Model`), with the numbers of one case (`Nlp`).
 
-A solver sees only this. Rows carry the paper's equation numbers, so that every message about a residual names its equation.
+A solver sees only this. Rows carry the paper's equation numbers, so that every message about a residual names its
+equation.
 """
 
 from dataclasses import dataclass, replace
@@ -81,7 +82,7 @@ class Model:
 
     @cached_property
     def data_adjoint(self) -> ca.Function:
-        """``(x, p, multipliers, w, m) -> d (w' grad L + m' g) / d data``: one reverse sweep, however many data there are."""
+        """``(x, p, multipliers, w, m) -> d (w' grad L + m' g) / d data``: one reverse sweep for all data."""
         multipliers, lagrangian = self._lagrangian
         w, m = type(self.x).sym("w", self.x.shape[0]), type(self.x).sym("m", self.constraints.shape[0])
         weighted = ca.jtimes(lagrangian, self.x, w) + ca.dot(m, self.constraints)
@@ -118,16 +119,6 @@ class Model:
         return np.array([row.equality for row in self.rows], dtype=bool)
 
 
-PHYSICAL = 1e-9
-"""Resolution of a physical unknown, as a share of its size."""
-
-WHITENED = 1e-6
-"""Resolution of an unknown measured in standard deviations."""
-
-SLACK = 1e-4
-"""Resolution of a slack, in standard deviations: where ``Sigma_B`` is ill conditioned, B's own rounding shows in it."""
-
-
 @dataclass(frozen=True)
 class Nlp:
     """A `Model` with the numbers of one case.
@@ -144,9 +135,6 @@ class Nlp:
         What a row's value of 1 means in its equation's unit.
     data_factor : (n_data, m), dense or sparse
         ``S`` with ``S S'`` the covariance of the measured parameters.
-    resolution : (n_x,)
-        What counts as no change of an unknown: see `PHYSICAL`, `WHITENED` and `SLACK`: above rounding, far
-        below what data can tell.
     """
 
     model: Model
@@ -157,7 +145,6 @@ class Nlp:
     x_scale: Array
     row_scale: Array
     data_factor: Array | scipy.sparse.csr_array
-    resolution: Array
 
     @property
     def parameters(self) -> Array:

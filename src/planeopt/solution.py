@@ -1,8 +1,9 @@
-"""What a solve returns: a status that is a sentence, the plane with its covariance, the evidence, and the path to it."""
+"""What a solve returns: a status that is a sentence, the plane and its covariance, the evidence, the path."""
 
 import math
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +28,15 @@ class Status(Enum):
     INFEASIBLE = "The solver stopped where the constraints do not hold."
     NOT_CONVERGED = "The solver stopped before it reached a minimum."
     AT_BOUND = "The solution lies on the edge of what can be seen, where the plane is not determined from both sides."
+    NO_COVARIANCE = "The plane was found, but no covariance can be given."
 
     @property
-    def record(self) -> str:
+    def record(self) -> Literal["ok", "degraded", "refused"]:
         """Status of a pose record: ``ok``, ``degraded`` (a pose, with a reservation) or ``refused`` (no pose)."""
         if self is Status.CONVERGED:
             return "ok"
-        return "degraded" if self in (Status.INCONSISTENT, Status.NO_NOISE_SCALE, Status.AT_BOUND) else "refused"
+        degraded = (Status.INCONSISTENT, Status.NO_NOISE_SCALE, Status.AT_BOUND, Status.NO_COVARIANCE)
+        return "degraded" if self in degraded else "refused"
 
 
 class Flag(Enum):
@@ -43,10 +46,13 @@ class Flag(Enum):
     SCALE_AT_FLOOR = "The residuals are at rounding level: the noise scale is set to a floor, intervals are nominal."
     RESTARTED = "The first solution failed the chi-squared test or did not converge: solved again from the closed form."
     BETA_UNDEFINED = "alpha is 0: beta means nothing, read the normal."
-    ANGLES_NONLINEAR = "The slopes' standard deviation is over a tenth of tan(alpha): first-order sigmas of alpha, beta and R are rough."
-    WEAK = "The slopes' standard deviation is over 0.2: first-order intervals are too short, use a posterior."
+    ANGLES_NONLINEAR = (
+        "The slopes' standard deviation is over a tenth of tan(alpha): "
+        "first-order sigmas of alpha, beta and R are rough."
+    )
+    WEAK = "The slopes' standard deviation is over 0.2: first-order intervals are too short."
     SHORT_ARC = "Under a third of the ellipse is covered by points: intervals of first order are rough."
-    POINTS_SCATTER = "The points scatter about the plane's ellipse by more or less than their sigma says (p < 1e-6)."
+    POINTS_SCATTER = "The points scatter about the plane's ellipse by more than their sigma says (p < 1e-6)."
     RIG_WITHOUT_COVARIANCE = "The rig file has no covariance: sigma is the spot's part only."
 
 
@@ -68,7 +74,7 @@ class Residual:
 
 @dataclass(frozen=True)
 class Identifiability:
-    """Counts and ranks before a solve, at the start, rows scaled by their noise and columns by the size of the unknowns.
+    """Counts and ranks before a solve, at its start.
 
     Attributes
     ----------
@@ -103,10 +109,14 @@ class Identifiability:
 
 
 FEASIBLE = 1e-4
-"""Largest violation of a constraint at a solution, in units of its row (standard deviations of B, or radii of the beam).
+"""Largest violation of a constraint at a solution, in units of its row (standard deviations of B, or radii of the
+beam).
 
-It can be loose, because the Newton step that must also be small goes onto the constraints; tighter, and a row whose standard
-deviation is near the rounding of B itself could never pass."""
+It can be loose, because the Newton step that must also be small goes onto the constraints; tighter, and a row whose
+standard deviation is near the rounding of B itself could never pass."""
+
+RESOLUTION = 1e-9
+"""Largest step that may be left at a solution, relative to depth, and in slopes to 1 + tan^2(alpha)."""
 
 DUAL = 1e-6
 """Largest multiplier with the wrong sign, over the size of the multipliers, at a solution."""
@@ -121,7 +131,7 @@ class KktCheck:
     feasibility : float
         Largest violation of a row or bound over its scale.
     step : float
-        Largest component of the Newton step to the nearest KKT point, in units of what counts as no change.
+        By how much the Newton step to the nearest KKT point would still move the plane, relative as in `RESOLUTION`.
     dual : float
         Largest inequality multiplier with the wrong sign over the size of the multipliers.
     """
@@ -136,7 +146,7 @@ class KktCheck:
 
     @property
     def ok(self) -> bool:
-        return self.feasible and self.step <= 1 and self.dual <= DUAL
+        return self.feasible and self.step <= RESOLUTION and self.dual <= DUAL
 
 
 @dataclass(frozen=True)
@@ -258,13 +268,15 @@ class Solution:
     formulation, solver : str
         Names of what was solved and by what; ``solver`` is ``"none"`` for a direct answer.
     pose : SpotPose or None
-        ``(R, z_L, alpha, beta)`` in the laser-parallel frame; ``z_L`` along the beam from ``(e_x, e_y, 0)``. None where refused.
+        ``(R, z_L, alpha, beta)`` in the laser-parallel frame; ``z_L`` along the beam from ``(e_x, e_y, 0)``. None
+        where refused.
     plane : Plane or None
         In the camera frame.
     uncertainty : Uncertainty or None
         None with its reason in ``uncertainty_reason``.
     chi2, dof, p_value : float, int, float
-        Of the image ellipse against the rig: tests the rig and the points, not the plane; never the focal length or the scale.
+        Of the image ellipse against the rig: tests the rig and the points, not the plane; never the focal length or
+        the scale.
     chi2_points, dof_points : float, int
         Of the points' distances from the plane's ellipse.
     other_plane : OtherPlane or None
@@ -304,7 +316,7 @@ class Solution:
 
     @property
     def worst(self) -> Residual | None:
-        """The image equation whose residual is largest in its own standard deviations: with `Elastic`, the one at fault.
+        """The image equation whose residual is largest in its own standard deviations; with `Elastic` the one at fault.
 
         A least-squares solution spreads a gross error over all equations; only an L1 solution leaves it in its place.
         """

@@ -1,4 +1,4 @@
-"""What is recomputed at a plane, whoever found it: chi-squared, all ten residuals, the second plane, the uncertainty."""
+"""What is recomputed at a plane, whoever found it: chi-squared, the ten residuals, the second plane, the covariance."""
 
 import math
 from dataclasses import dataclass
@@ -29,8 +29,8 @@ DOF = 2
 class Fit:
     """How well the plane's ellipse agrees with the measured one, and with the points.
 
-    ``p_value`` is of chi-squared with 2 degrees of freedom, or of its F counterpart where the noise scale was estimated;
-    with a rig covariance the rig's part is in the statistic's covariance. None where no scale is known.
+    ``p_value`` is of chi-squared with 2 degrees of freedom, or of its F counterpart where the noise scale was
+    estimated; with a rig covariance the rig's part is in the statistic's covariance. None where no scale is known.
     """
 
     chi2: float | None
@@ -50,7 +50,12 @@ def slope_variables(plane: Array, setup: eq.Setup) -> eq.SlopeVariables:
 
 
 def fit_quality(problem: Problem, plane: Array, effect: Sensitivity | None) -> Fit:
-    """Test the plane's ellipse against the measured one (model section 7) and against the points.
+    """Test the plane's ellipse against the measured one and against the points.
+
+    Of the five directions of the whitened misfit of B a plane can move three. The statistic is the part in the two left
+    over: to first order the same for every plane near the best, so that an inefficient formulation is not blamed for
+    its own error, and at the weighted programme's solution all of the misfit, that is twice its objective. A rig's
+    covariance is added to the statistic's.
 
     Parameters
     ----------
@@ -62,10 +67,13 @@ def fit_quality(problem: Problem, plane: Array, effect: Sensitivity | None) -> F
     """
     if problem.scale_dof == 0:
         return Fit(None, None, None, None)
-    whitened = np.linalg.solve(problem.B_factor, image_misfit(problem, plane))
-    chi2 = float(whitened @ whitened)
+    left_over = space_left_by_plane(problem, plane)
+    statistic = left_over @ np.linalg.solve(problem.B_factor, image_misfit(problem, plane))
+    covariance = np.eye(DOF)
     if effect is not None and problem.rig is not None and problem.rig.covariance is not None:
-        chi2 -= _discount(whitened, effect, problem.rig.covariance.matrix, problem, plane)
+        by_rig = left_over @ np.linalg.solve(problem.B_factor, _B_by_rig(problem, plane, effect))
+        covariance += by_rig @ problem.rig.covariance.matrix @ by_rig.T
+    chi2 = float(statistic @ np.linalg.solve(covariance, statistic))
     p_value = float(
         scipy.stats.chi2.sf(chi2, DOF)
         if problem.scale_dof is None
@@ -78,25 +86,16 @@ def fit_quality(problem: Problem, plane: Array, effect: Sensitivity | None) -> F
     return Fit(chi2, p_value, float(distances @ distances), problem.n_points - 3)
 
 
-def _discount(whitened: Array, effect: Sensitivity, rig_covariance: Array, problem: Problem, plane: Array) -> float:
-    """What the rig's own uncertainty takes off chi-squared: ``t't - t'(I + T Sigma T')^-1 t``.
-
-    Of the five directions of the whitened misfit of B the plane takes three. The two left over carry the statistic
-    ``t``, with unit covariance from the spot and ``T Sigma T'`` from the rig, whose effect on the points' distances is
-    that of a change of B found by least squares.
-    """
+def _B_by_rig(problem: Problem, plane: Array, effect: Sensitivity) -> Array:
+    """Changes of B (5, n) that move the points' distances as the rig's parameters do, by least squares."""
     b = eq.image_conic_in_slopes(np, slope_variables(plane, problem.setup), problem.setup)
     by_B = _whitened_distances(problem, np.array(b[1:]) / b[0])[1]
     size = np.linalg.norm(by_B, axis=0)
-    B_by_rig = np.linalg.lstsq(by_B / size, effect.residual_by_rig, rcond=None)[0] / size[:, None]
-    left_over = space_left_by_plane(problem, plane)
-    t, by_rig = left_over @ whitened, left_over @ np.linalg.solve(problem.B_factor, B_by_rig)
-    total = np.eye(len(t)) + by_rig @ rig_covariance @ by_rig.T
-    return float(t @ t - t @ np.linalg.solve(total, t))
+    return np.linalg.lstsq(by_B / size, effect.residual_by_rig, rcond=None)[0] / size[:, None]
 
 
 def _whitened_distances(problem: Problem, ellipse: Array) -> tuple[Array, Array]:
-    """Sampson distances (N,) of the points over their noise, and their derivative (N, 5) by the coefficients of (16)."""
+    """Sampson distances (N,) over their noise, and their derivative (N, 5) by the coefficients of (16)."""
     x, y = np.asarray(problem.points).T
     noise = np.asarray(problem.noise)
     gradient = np.stack([2 * x + ellipse[0] * y + ellipse[2], ellipse[0] * x + 2 * ellipse[1] * y + ellipse[3]], axis=1)
@@ -131,7 +130,7 @@ def pose_and_plane(problem: Problem, plane: Array) -> tuple[SpotPose, Plane]:
 
 
 def second_plane(problem: Problem, plane: Array) -> OtherPlane | None:
-    """The other exact solution of the ten equations, with the reason it is not the answer; None where it is at infinity."""
+    """The other exact solution of the ten, and why it is not the answer; None where it is at infinity."""
     other = other_plane(plane, problem.setup)
     if not np.isfinite(other).all() or np.max(np.abs(other[1:])) > _EDGE_ON:
         return None

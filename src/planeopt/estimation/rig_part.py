@@ -98,8 +98,8 @@ def _laser_frame(eta: ca.SX) -> tuple[ca.SX, ca.SX]:
 def _point_rows() -> ca.Function:
     """Derivatives of one point's whitened distance by plane and rig, its raw pixel held fixed.
 
-    ``rho = F/|grad F|`` is the Sampson distance from the plane's ellipse. The pixel depends on the normalised point ``x`` and
-    the rig, so ``dx/d eta = -(d pixel/dx)^-1 d pixel/d eta``.
+    ``rho = F/|grad F|`` is the Sampson distance from the plane's ellipse. The pixel depends on the normalised point
+    ``x`` and the rig, so ``dx/d eta = -(d pixel/dx)^-1 d pixel/d eta``.
     """
     x, noise, eta, plane, f = (
         ca.SX.sym("x", 2),

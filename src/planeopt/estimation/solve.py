@@ -6,18 +6,20 @@ import numpy as np
 import scipy.stats
 from numpy.typing import NDArray
 
+from planeopt import equations as eq
 from planeopt.estimation import evidence, starts
 from planeopt.estimation.rig_part import sensitivity
 from planeopt.formulations import Constrained, DirectAnswer, Elastic, Formulation, Problem, Refusal, Start, identify
 from planeopt.rig import Rig
-from planeopt.solution import Flag, Identifiability, Solution, SolveError, Status
+from planeopt.solution import RESOLUTION, Flag, Identifiability, Solution, SolveError, Status
 from planeopt.solvers import Found, Ipopt, Solver
-from planeopt.solvers.kkt import plane_covariance
+from planeopt.solvers.kkt import NoCovariance, plane_covariance
 from planeopt.spot import Spot
 
 Array = NDArray[np.floating]
 
-# model.md: beyond these the first-order intervals were measured to be too short, R, alpha and beta earlier than the slopes.
+# model.md: beyond these the first-order intervals were measured to be too short, R, alpha and beta earlier than the
+# slopes.
 WEAK_SLOPE_SIGMA = 0.2
 NONLINEAR_ANGLE_SHARE = 0.1
 SHORT_ARC = 1 / 3
@@ -50,8 +52,8 @@ def solve(
     restart : bool
         Whether a search that fails, or whose chi-squared is beyond its 1e-6 quantile, is repeated from the closed form.
     throw : bool
-        Raise `SolveError`, carrying the solution, where no defensible plane was found; otherwise it is returned with its
-        status.
+        Raise `SolveError`, carrying the solution, where no defensible plane was found; otherwise it is returned with
+        its status.
 
     Returns
     -------
@@ -95,7 +97,14 @@ def solve_problem(
 
 
 def _failed(solution: Solution) -> bool:
-    return solution.status in (Status.INCONSISTENT, Status.INFEASIBLE, Status.NOT_CONVERGED, Status.AT_BOUND)
+    return solution.status in (
+        Status.INCONSISTENT,
+        Status.INFEASIBLE,
+        Status.NOT_CONVERGED,
+        Status.AT_BOUND,
+        Status.NO_COVARIANCE,
+        Status.UNIDENTIFIABLE,
+    )
 
 
 def _attempt(problem: Problem, formulation: Formulation, solver: Solver, start: Start) -> Solution:
@@ -117,8 +126,9 @@ def _attempt(problem: Problem, formulation: Formulation, solver: Solver, start: 
     if isinstance(built, Refusal):
         return replace(_refused(blank, built.status, built.message), solver="none")
     if isinstance(built, DirectAnswer):
-        reason = None if built.covariance is not None else "the closed form is singular here"
-        return _judged(replace(blank, solver="none"), problem, built.plane, built.covariance, reason)
+        singular = NoCovariance(Status.NO_COVARIANCE, "the closed form is singular here")
+        covariance = singular if built.covariance is None else built.covariance
+        return _judged(replace(blank, solver="none"), problem, built.plane, covariance)
     return _searched(blank, problem, solver.solve(built))
 
 
@@ -132,11 +142,13 @@ def _searched(blank: Solution, problem: Problem, found: Found) -> Solution:
         return _refused(solution, Status.INFEASIBLE, f"{Status.INFEASIBLE.value} {_worst_row(found)}")
     if not found.kkt.ok:
         left = (
-            f"A Newton step {found.kkt.step:.1e} times what counts as none is left ({solution.solver}: {found.report})."
+            f"A Newton step would still move the plane by {found.kkt.step:.1e} of itself"
+            if found.kkt.step > RESOLUTION
+            else "A multiplier has the wrong sign: leaving an inequality's limit would still improve the objective"
         )
-        return _refused(solution, Status.NOT_CONVERGED, f"{Status.NOT_CONVERGED.value} {left}")
-    covariance, reason = plane_covariance(found.nlp, found.x)
-    return _judged(solution, problem, plane, covariance, reason)
+        message = f"{Status.NOT_CONVERGED.value} {left} ({solution.solver}: {found.report})."
+        return _refused(solution, Status.NOT_CONVERGED, message)
+    return _judged(solution, problem, plane, plane_covariance(found.nlp, found.x))
 
 
 def _sentence(identifiability: Identifiability | None) -> str:
@@ -159,9 +171,7 @@ def _refused(solution: Solution, status: Status, message: str) -> Solution:
     return replace(solution, status=status, message=message)
 
 
-def _judged(
-    solution: Solution, problem: Problem, plane: Array, covariance: Array | None, reason: str | None
-) -> Solution:
+def _judged(solution: Solution, problem: Problem, plane: Array, covariance: Array | NoCovariance) -> Solution:
     """Everything that is recomputed at a plane, and the status that follows from it."""
     rig = problem.rig
     effect = None
@@ -169,14 +179,17 @@ def _judged(
         effect = sensitivity(problem, rig, plane)
     fit = evidence.fit_quality(problem, plane, effect)
     pose, in_camera = evidence.pose_and_plane(problem, plane)
-    known = covariance if problem.scale_dof != 0 else None
-    reason = reason if problem.scale_dof != 0 else Status.NO_NOISE_SCALE.value
+    if problem.scale_dof == 0:
+        covariance = NoCovariance(Status.NO_NOISE_SCALE, "five points leave nothing to estimate their noise from")
+    missing = covariance if isinstance(covariance, NoCovariance) else None
     judged = replace(
         solution,
         pose=pose,
         plane=in_camera,
-        uncertainty=None if known is None else evidence.uncertainty(problem, plane, known, effect),
-        uncertainty_reason=reason,
+        uncertainty=None
+        if isinstance(covariance, NoCovariance)
+        else evidence.uncertainty(problem, plane, covariance, effect),
+        uncertainty_reason=missing.reason if missing else None,
         chi2=fit.chi2,
         p_value=fit.p_value,
         chi2_points=fit.chi2_points,
@@ -184,25 +197,28 @@ def _judged(
         other_plane=evidence.second_plane(problem, plane),
         residuals=evidence.residuals(problem, plane),
     )
-    status, message = _verdict(problem, judged, fit, reason)
+    status, message = _verdict(judged, fit, missing)
     return replace(judged, status=status, message=message, flags=(*judged.flags, *_reservations(problem, judged, fit)))
 
 
-def _verdict(problem: Problem, solution: Solution, fit: evidence.Fit, reason: str | None) -> tuple[Status, str]:
-    if problem.scale_dof == 0:
-        return Status.NO_NOISE_SCALE, Status.NO_NOISE_SCALE.value
+def _verdict(solution: Solution, fit: evidence.Fit, missing: NoCovariance | None) -> tuple[Status, str]:
     if fit.improbable:
         numbers = f"chi-squared {fit.chi2:.4g} with {evidence.DOF} degrees of freedom, p = {fit.p_value:.1e}"
         return Status.INCONSISTENT, f"{Status.INCONSISTENT.value} ({numbers}){_fault(solution)}"
-    if solution.uncertainty is None:
-        return Status.AT_BOUND, f"{Status.AT_BOUND.value} No covariance: {reason}."
+    if missing is not None:
+        detail = "" if missing.status is Status.NO_NOISE_SCALE else f" ({missing.reason})"
+        return missing.status, missing.status.value + detail
     return Status.CONVERGED, Status.CONVERGED.value
+
+
+_AT_FAULT = float(scipy.stats.norm.isf(evidence.IMPROBABLE / 2 / len(eq.IMAGE_BLOCK)))
+"""Standard deviations that none of the five residuals of right data reaches more often than once in a million."""
 
 
 def _fault(solution: Solution) -> str:
     """The equation at fault, where the formulation leaves a gross error in its place."""
     worst = solution.worst
-    if solution.formulation != Elastic().name or worst is None:
+    if solution.formulation != Elastic().name or worst is None or (worst.sigmas or 0) < _AT_FAULT:
         return ""
     size = f"off by {worst.value:.4g} {worst.unit}, {worst.sigmas:.1f} standard deviations"
     return f" At fault: {worst.equation} {worst.name}, {size}."

@@ -25,9 +25,13 @@ def given(start: StartLike, problem: Problem) -> Start:
     if isinstance(start, SpotPose):
         R, z_L, alpha, beta = start.R, start.z_L, start.alpha, start.beta or 0.0
     else:
-        values = np.asarray(start, dtype=float)
+        wanted = f"start must be four finite numbers (R mm, z_L mm, alpha rad, beta rad), not {start!r}"
+        try:
+            values = np.asarray(start, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise InputError(wanted) from error
         if values.shape != (4,) or not np.isfinite(values).all():
-            raise InputError(f"start must be four finite numbers (R mm, z_L mm, alpha rad, beta rad), not {start!r}")
+            raise InputError(wanted)
         R, z_L, alpha, beta = (float(value) for value in values)
     if R <= 0 or z_L <= 0 or abs(alpha) >= np.pi / 2:
         raise InputError(f"start needs R > 0, z_L > 0 and |alpha| < pi/2, not R={R:g}, z_L={z_L:g}, alpha={alpha:g}")
@@ -37,7 +41,10 @@ def given(start: StartLike, problem: Problem) -> Start:
 
 
 def from_closed_form(problem: Problem) -> Start:
-    """The visible plane of the closed form; where it has none, the untilted plane whose spot is as wide as the ellipse."""
+    """The visible plane of the closed form.
+
+    Where it has none, the untilted plane whose spot is as wide as the ellipse.
+    """
     planes = solve_both(problem.B, problem.setup)
     if planes.ok:
         z_L, p, q = (float(value) for value in planes.visible)

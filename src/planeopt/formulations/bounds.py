@@ -5,6 +5,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from planeopt.errors import InputError
+
 Array = NDArray[np.floating]
 Variables = Literal["slopes", "paper"]
 
@@ -15,6 +17,18 @@ FARTHEST = 1e6
 """Depth bound in beam radii."""
 TURNS = 20 * np.pi
 """The paper's beta is periodic: room for a search that turns, folded back to canonical angles afterwards."""
+
+
+def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
+    """Refuse an option that is none of its choices.
+
+    Raises
+    ------
+    InputError
+        If ``value`` is not among ``choices``.
+    """
+    if value not in choices:
+        raise InputError(f"{name} must be one of {', '.join(map(repr, choices))}, not {value!r}")
 
 
 def pose_bounds(variables: Variables, r: float) -> tuple[Array, Array]:

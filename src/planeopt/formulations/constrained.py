@@ -1,16 +1,17 @@
-"""The true constrained programme: slack on (17)-(21) weighted by the covariance of B, (11)-(15) hard as one equation."""
+"""The true constrained programme: weighted slack on (17)-(21), (11)-(15) hard in their independent form."""
 
 from dataclasses import dataclass
 from functools import cache
+from typing import get_args
 
 import casadi as ca
 import numpy as np
 
 from planeopt import equations as eq
 from planeopt.formulations.base import Start
-from planeopt.formulations.bounds import Variables, pose_bounds, pose_scale
+from planeopt.formulations.bounds import Variables, check_choice, pose_bounds, pose_scale
 from planeopt.formulations.problem import Problem
-from planeopt.nlp import PHYSICAL, SLACK, Model, Nlp, Row
+from planeopt.nlp import Model, Nlp, Row
 
 # A coefficient of B can vanish by symmetry, and 1/B_i^2 would then be no mild weight at all: this much of the size that
 # the coefficient has for an ellipse of this kind is added.
@@ -21,9 +22,9 @@ _MILD_SHARE = 0.05
 class Constrained:
     """min 1/2 s's  s.t.  b_i/b_0 - B_i = (S s)_i,  the spot on the beam,  the spot in front,  its lit side visible.
 
-    ``S S' = Sigma_B``, so that twice the objective at the solution is chi-squared with 2 degrees of freedom when the rig
-    is right. From a cold start a mild weight ``1/B_i^2`` comes first: with ``Sigma_B`` at once (its condition number
-    reaches 1e10) most cold starts end in local minima.
+    ``S S' = Sigma_B``, so that twice the objective at the solution is chi-squared with 2 degrees of freedom when the
+    rig is right. From a cold start a mild weight ``1/B_i^2`` comes first: with ``Sigma_B`` at once (its condition
+    number reaches 1e10) most cold starts end in local minima.
 
     Parameters
     ----------
@@ -32,6 +33,9 @@ class Constrained:
     """
 
     variables: Variables = "slopes"
+
+    def __post_init__(self) -> None:
+        check_choice("variables", self.variables, get_args(Variables))
 
     @property
     def name(self) -> str:
@@ -57,7 +61,6 @@ class Constrained:
             np.concatenate([scale, np.ones(5)]),
             np.concatenate([sigma_B, [beam_scale, beam_scale, r]]),
             problem.B_factor,
-            np.concatenate([PHYSICAL * scale, np.full(5, SLACK)]),
         )
 
 

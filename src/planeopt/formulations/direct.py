@@ -24,8 +24,8 @@ class ClosedForm:
         if not planes.ok:
             return Refusal(
                 Status.NO_PLANE,
-                "The closed form finds no plane before the camera, lit on the side it sees: the image ellipse is too far "
-                "from any that this beam can make.",
+                "The closed form finds no plane before the camera, lit on the side it sees: the image ellipse is "
+                "too far from any that this beam can make.",
             )
         root = slope_jacobian(problem.B, problem.setup) @ problem.B_factor
         covariance = root @ root.T

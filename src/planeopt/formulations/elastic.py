@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 import scipy.linalg
 import scipy.optimize
+import scipy.stats
 from numpy.typing import NDArray
 
 from planeopt import equations as eq
@@ -14,8 +15,8 @@ from planeopt.formulations.base import Start
 from planeopt.formulations.bounds import pose_bounds, pose_scale
 from planeopt.formulations.identifiability import ten_jacobian
 from planeopt.formulations.problem import Problem
-from planeopt.formulations.snooping import detectability, image_misfit
-from planeopt.nlp import PHYSICAL, SLACK, Model, Nlp, Row
+from planeopt.formulations.snooping import detectability, image_misfit, space_left_by_plane
+from planeopt.nlp import Model, Nlp, Row
 
 Array = NDArray[np.floating]
 
@@ -54,43 +55,50 @@ class Elastic:
             np.concatenate([scale, np.ones(20)]),
             np.concatenate([1 / weights, [r, r]]),
             problem.B_factor,
-            np.concatenate([PHYSICAL * scale, np.full(20, SLACK)]),
         )
 
 
 def _best_without_one(problem: Problem, start: Start) -> Start:
-    """The start, or a plane that leaves one image equation out, whichever the L1 objective prefers.
+    """The start where it explains all five image equations, else the best plane of four of them.
 
-    A gross error in one coefficient of B pulls the closed form far away.
+    A gross error in one coefficient of B pulls the closed form far away. Which one to leave out is told by how well the
+    other four agree.
     """
-    candidates = [np.array(start.plane)] + [_without(problem, np.array(start.plane), i) for i in range(5)]
-    visible = [plane for plane in candidates if _is_visible(problem, plane)] or candidates[:1]
-    z_L, p, q = min(visible, key=lambda plane: _cost(problem, plane))
+    plane = np.array(start.plane)
+    statistic = space_left_by_plane(problem, plane) @ np.linalg.solve(problem.B_factor, image_misfit(problem, plane))
+    if scipy.stats.chi2.sf(statistic @ statistic, len(statistic)) > GROSS:
+        return start
+    candidates = [_without(problem, plane, i) for i in range(5)]
+    visible = [(cost, tuple(found)) for cost, found in candidates if _is_visible(problem, found)]
+    if not visible:
+        return start
+    z_L, p, q = (float(value) for value in min(visible)[1])
     tangent = float(np.hypot(p, q))
     beta = float(np.arctan2(-p, q)) if tangent > 0 else start.beta
-    return Start(problem.setup.r * float(np.sqrt(1 + tangent**2)), (float(z_L), float(p), float(q)), beta)
+    return Start(problem.setup.r * float(np.sqrt(1 + tangent**2)), (z_L, p, q), beta)
 
 
-def _without(problem: Problem, plane: Array, left_out: int) -> Array:
-    """Least-squares plane of four of the image equations, whitened by their own covariance."""
+GROSS = 1e-6
+"""Misfit of the closed form that is less probable than this is an error, not noise."""
+
+
+def _without(problem: Problem, plane: Array, left_out: int) -> tuple[float, Array]:
+    """Least-squares plane of four of the image equations, whitened by their own covariance, and what it leaves."""
     rest = [i for i in range(5) if i != left_out]
-    factor = np.linalg.qr(problem.B_factor[rest].T, mode="r").T
+    factor = np.asarray(np.linalg.qr(problem.B_factor[rest].T, mode="r")).T
     scale = np.array([abs(plane[0]), 1.0, 1.0])
 
     def residual(scaled: Array) -> Array:
         return scipy.linalg.solve_triangular(factor, image_misfit(problem, scaled * scale)[rest], lower=True)
 
-    return scipy.optimize.least_squares(residual, plane / scale, method="lm", max_nfev=200).x * scale
+    found = scipy.optimize.least_squares(residual, plane / scale, method="lm", max_nfev=200)
+    return float(found.cost), found.x * scale
 
 
 def _is_visible(problem: Problem, plane: Array) -> bool:
     v = eq.SlopeVariables(None, *plane)
     rows = (eq.before_camera, eq.in_front_in_slopes, eq.lit_side_in_slopes)
     return bool(np.isfinite(plane).all() and all(e(np, v, problem.setup) > 0 for e in rows))
-
-
-def _cost(problem: Problem, plane: Array) -> float:
-    return float(np.sum(detectability(problem, plane) * np.abs(image_misfit(problem, plane))))
 
 
 def _weights(problem: Problem, start: Start) -> Array:

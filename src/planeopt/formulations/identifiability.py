@@ -4,13 +4,13 @@ from functools import cache
 
 import casadi as ca
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from planeopt import equations as eq
 from planeopt.formulations.base import Start
 from planeopt.formulations.bounds import pose_scale
 from planeopt.formulations.problem import Problem
+from planeopt.ranks import independent_rows
 from planeopt.solution import Identifiability
 
 Array = NDArray[np.floating]
@@ -20,7 +20,7 @@ RANK_TOLERANCE = 1e-9
 
 
 def identify(problem: Problem, start: Start) -> Identifiability:
-    """Ranks of the ten equations at the start (moved onto the laser constraint) and singular values of the independent ones.
+    """Ranks of the ten equations at the start, moved onto the laser constraint, and what the independent ones fix.
 
     Parameters
     ----------
@@ -63,9 +63,9 @@ def _rank(matrix: Array) -> int:
 
 
 def _dependent(laser: Array) -> tuple[str, ...]:
-    """Rows of the laser block beyond its rank, by pivoted QR; the pivots are kept."""
-    order = scipy.linalg.qr(laser.T, mode="r", pivoting=True)[1]
-    return tuple(f"({eq.LASER_BLOCK[i].number})" for i in sorted(order[_rank(laser) :]))
+    """Rows of the laser block that repeat the others."""
+    kept = set(independent_rows(laser, RANK_TOLERANCE).tolist())
+    return tuple(f"({e.number})" for i, e in enumerate(eq.LASER_BLOCK) if i not in kept)
 
 
 def _in_words(direction: Array) -> str:

@@ -17,9 +17,9 @@ Array = NDArray[np.floating]
 NOISE_FLOOR = 1e-7
 """Smallest noise standard deviation, as a fraction of the points' RMS distance from their mean.
 
-Below it exact points would be weighted by their rounding: a coordinate 40 radii from the origin is rounded at 1e-14 of the
-radius, which leaves the residuals, in standard deviations, seven digits. No camera measures a boundary so well: it is 1e-5
-px for a spot of 100 px.
+Below it exact points would be weighted by their rounding: a coordinate 40 radii from the origin is rounded at 1e-14
+of the radius, which leaves the residuals, in standard deviations, seven digits. No camera measures a boundary so
+well: it is 1e-5 px for a spot of 100 px.
 """
 
 
@@ -103,6 +103,8 @@ class Problem:
         """
         xy = np.asarray(points, dtype=float)
         known = scale_known and noise is not None
+        if xy.ndim != 2 or xy.shape[1] != 2 or not np.isfinite(xy).all():
+            raise InputError(f"boundary points must be finite and of shape (N, 2), mm, not of shape {xy.shape}")
         covariances = _covariances(len(xy), 1.0 if noise is None else noise)
         # The floor: an unknown scale is sought from there upwards, a given one is not believed below it.
         typical2 = float(np.median(np.trace(covariances, axis1=1, axis2=2))) / 2
@@ -110,13 +112,13 @@ class Problem:
         if not known:
             covariances = covariances * floor2
         fit = fit_conic(xy, covariances)
-        flags: list[Flag] = []
-        scale2, scale_dof = max(1.0, floor2), None
-        if not known:
-            flags.append(Flag.SCALE_ESTIMATED)
-            scale_dof = len(xy) - 5
-            scale2 = max(1.0, float(np.asarray(fit.chi2)) / scale_dof) if scale_dof else 1.0
-        if scale2 == 1.0 and not known or scale2 == floor2:
+        if known:
+            flags, scale_dof, scale2 = [], None, max(1.0, floor2)
+        else:
+            flags, scale_dof, scale2 = [Flag.SCALE_ESTIMATED], len(xy) - 5, 1.0
+            if scale_dof:
+                scale2 = max(1.0, float(np.asarray(fit.chi2)) / scale_dof)
+        if scale_dof != 0 and scale2 == (floor2 if known else 1.0):
             flags.append(Flag.SCALE_AT_FLOOR)
         return cls(
             setup,
@@ -143,7 +145,11 @@ class Problem:
             raise InputError(f"B must be (5,) and its covariance (5, 5), not {coefficients.shape} and {sigma.shape}")
         if not (np.isfinite(coefficients).all() and np.isfinite(sigma).all()):
             raise InputError("B and its covariance must be finite")
-        scale = np.sqrt(np.abs(np.diag(sigma)))
+        scale = np.sqrt(np.maximum(np.diag(sigma), 0.0))
+        if not scale.all():
+            raise InputError("the covariance of B is not positive definite: a variance is not positive")
+        if not np.allclose(sigma / np.outer(scale, scale), sigma.T / np.outer(scale, scale), rtol=0, atol=1e-9):
+            raise InputError("the covariance of B is not symmetric")
         try:
             factor = scale[:, None] * np.linalg.cholesky(sigma / np.outer(scale, scale))
         except np.linalg.LinAlgError as error:
@@ -174,7 +180,13 @@ class Problem:
 
 
 def _covariances(n: int, noise: ArrayLike) -> Array:
-    sigma = np.asarray(noise, dtype=float)
-    if sigma.ndim == 3:
-        return sigma
-    return np.broadcast_to(sigma, (n,))[:, None, None] ** 2 * np.eye(2)
+    """Covariances (n, 2, 2) from a sigma for all, a sigma for each, or covariances."""
+    given = np.asarray(noise, dtype=float)
+    if given.shape not in ((), (n,), (n, 2, 2)):
+        raise InputError(f"noise must be one sigma, {n} sigmas or {n} 2x2 covariances (mm), not of shape {given.shape}")
+    usable = np.isfinite(given).all() and (given.ndim == 3 or (given > 0).all())
+    if not usable:
+        raise InputError("noise must be finite, and a sigma positive (mm)")
+    if given.ndim == 3:
+        return given
+    return np.broadcast_to(given, (n,))[:, None, None] ** 2 * np.eye(2)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planeopt import equations as eq
 from planeopt.formulations.base import Refusal, Start
 from planeopt.formulations.problem import Problem
-from planeopt.nlp import WHITENED, Model, Nlp, Row
+from planeopt.nlp import Model, Nlp, Row
 from planeopt.solution import Status
 
 Array = NDArray[np.floating]
@@ -23,8 +23,8 @@ Array = NDArray[np.floating]
 class Reprojection:
     """min 1/2 sum |L_i' (x_i - x(phi_i; z_L, p, q))|^2: the maximum-likelihood answer for Gaussian noise.
 
-    ``L_i L_i'`` is the inverse of point i's covariance and ``x(phi)`` is (5) of (3). The laser block holds by construction,
-    since the spot is written by the angle ``phi`` round the beam.
+    ``L_i L_i'`` is the inverse of point i's covariance and ``x(phi)`` is (5) of (3). The laser block holds by
+    construction, since the spot is written by the angle ``phi`` round the beam.
     """
 
     @property
@@ -60,7 +60,6 @@ class Reprojection:
             np.ones(3 + n),
             np.array([k.r, k.r**2, k.r]),
             scipy.sparse.csr_array(scipy.sparse.block_diag(list(roots))),
-            np.full(3 + n, WHITENED),
         )
 
 
@@ -74,7 +73,8 @@ def _angles(points: Array, v: eq.SlopeVariables, k: eq.Setup) -> Array:
 def _units(problem: Problem, whitening: Array, centre: Array) -> tuple[Array, Array]:
     """Standard deviations at the start as units of the unknowns: a factor (3, 3) of the plane's covariance, and (n,).
 
-    Without them IPOPT loses one case in six at tight tolerances: depth in mm and angles on a small spot differ by orders.
+    Without them IPOPT loses one case in six at tight tolerances: depth in mm and angles on a small spot differ by
+    orders.
     """
     images = np.asarray(_image_derivatives().map(problem.n_points)(centre[None, 3:], centre[:3], problem.setup))
     by_unknown = whitening @ images.reshape(2, 4, problem.n_points, order="F").transpose(2, 0, 1)

@@ -1,4 +1,4 @@
-"""Which image equation is at fault: how an error in one coefficient of B shows in the residuals (Baarda's data snooping)."""
+"""Which image equation is at fault: how an error in one coefficient of B shows (Baarda's data snooping)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,7 @@ def detectability(problem: Problem, plane: Array) -> Array:
 
 
 def space_left_by_plane(problem: Problem, plane: Array) -> Array:
-    """Orthonormal basis (2, 5) of the whitened misfits of B that no change of the plane makes: the self-test's space."""
+    """Orthonormal basis (2, 5) of the whitened misfits of B that no change of the plane makes: the self-test."""
     R = problem.setup.r * np.sqrt(1 + plane[1] ** 2 + plane[2] ** 2)
     rows = independent_jacobian()(np.array([R, *plane]), np.concatenate([problem.setup, problem.B]))
     whitened = np.linalg.solve(problem.B_factor, np.asarray(rows)[1:, 1:])

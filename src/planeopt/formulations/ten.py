@@ -2,17 +2,17 @@
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Literal
+from typing import Literal, get_args
 
 import casadi as ca
 import numpy as np
 
 from planeopt import equations as eq
 from planeopt.formulations.base import Refusal, Start
-from planeopt.formulations.bounds import pose_bounds, pose_scale
+from planeopt.formulations.bounds import check_choice, pose_bounds, pose_scale
 from planeopt.formulations.identifiability import identify
 from planeopt.formulations.problem import Problem
-from planeopt.nlp import PHYSICAL, Model, Nlp, Row
+from planeopt.nlp import Model, Nlp, Row
 from planeopt.solution import Status
 
 VISIBLE = (eq.in_front, eq.lit_side)
@@ -46,6 +46,9 @@ class Penalty:
     """
 
     reading: Reading = "printed"
+
+    def __post_init__(self) -> None:
+        check_choice("reading", self.reading, get_args(Reading))
 
     @property
     def name(self) -> str:
@@ -84,7 +87,6 @@ def _nlp(model: Model, problem: Problem, start: Start) -> Nlp:
         pose_scale(r, start.plane[0]),
         np.array([1.0 if row.equality else r for row in model.rows]),
         problem.B_factor,
-        PHYSICAL * pose_scale(r, start.plane[0]),
     )
 
 

@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from planeopt.errors import InputError
 from planeopt.nlp import Nlp
 from planeopt.solution import Effort, KktCheck, Trace
 
@@ -54,11 +55,25 @@ class Solver(Protocol):
         ...
 
 
+def check_limits(tol: float, max_iter: int) -> None:
+    """Refuse a tolerance or a budget that no search could work with.
+
+    Raises
+    ------
+    InputError
+        If ``tol`` is not between 0 and 1 or ``max_iter`` not positive.
+    """
+    if not 0 < tol < 1:
+        raise InputError(f"a solver's tol must be between 0 and 1, not {tol}")
+    if max_iter < 1:
+        raise InputError(f"a solver's budget must be at least 1, not {max_iter}")
+
+
 def too_many_equalities(nlp: Nlp) -> str | None:
     """Why hard equalities outnumber the unknowns, in words; None where they do not.
 
-    Refusing before the call matters: CasADi does not raise on IPOPT's Not_Enough_Degrees_Of_Freedom but returns the start
-    with all rows zero.
+    Refusing before the call matters: CasADi does not raise on IPOPT's Not_Enough_Degrees_Of_Freedom but returns the
+    start with all rows zero.
     """
     equalities = [row.equation.number for row in nlp.model.rows if row.equality]
     n = len(nlp.start)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from planeopt.nlp import Nlp
-from planeopt.solvers.base import Found
+from planeopt.solvers.base import Found, check_limits
 from planeopt.solvers.plugin import run
 
 
@@ -25,13 +25,15 @@ class Ipopt:
     max_iter: int = 300
     record: bool = False
 
+    def __post_init__(self) -> None:
+        check_limits(self.tol, self.max_iter)
+
     @property
     def name(self) -> str:
         return "Ipopt"
 
     def solve(self, nlp: Nlp) -> Found:
         options = (
-            ("print_time", False),
             ("ipopt.print_level", 0),
             ("ipopt.sb", "yes"),
             ("ipopt.tol", self.tol),

@@ -1,25 +1,30 @@
 """Optimality recomputed from the model, and the covariance that the KKT conditions give.
 
-A solver's own word is not evidence: CasADi's ``success`` can be true at an infeasible point. Everything here is evaluated
-again from the model's functions, with multipliers of its own.
+A solver's own word is not evidence: CasADi's ``success`` can be true at an infeasible point. Everything here is
+evaluated again from the model's functions, with multipliers of its own.
 """
 
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import scipy.linalg
 import scipy.optimize
 from numpy.typing import NDArray
 
 from planeopt.nlp import Nlp
-from planeopt.solution import FEASIBLE, KktCheck
+from planeopt.ranks import independent_rows
+from planeopt.solution import FEASIBLE, RESOLUTION, KktCheck, Status
 
 Array = NDArray[np.floating]
 
 ACTIVE = 1e-4
-"""An inequality or bound this close to its limit, in units of its scale, is taken to be active: an interior-point search
-stops a little inside. The Newton step then goes onto the limit; where that was wrong, the multiplier's sign says so."""
+"""An inequality or bound this close to its limit, in units of its scale, is taken to be active: an interior-point
+search stops a little inside. The Newton step then goes onto the limit; where that was wrong, the multiplier's sign
+says so."""
+
+
+DEPENDENT = 1e-9
+"""Gradients of unit length whose part orthogonal to the others is smaller than this say nothing of their own."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +60,8 @@ class System:
 def check(nlp: Nlp, x: Array) -> KktCheck:
     """First-order conditions at ``x``: feasibility, the Newton step that is left, and the multipliers' signs.
 
-    Stationarity is measured by the step to the nearest KKT point, in units of what counts as no change: unlike a
-    gradient's size it says how far the answer is off, whatever the weights and units of the objective.
+    Stationarity is measured by how far the step to the nearest KKT point would move the plane: unlike a gradient's size
+    it says how far the answer is off, whatever the weights, units and unknowns of the programme.
 
     Parameters
     ----------
@@ -91,7 +96,7 @@ def polish(nlp: Nlp, x: Array) -> tuple[Array, KktCheck, int]:
 
 
 def _distance(found: KktCheck) -> float:
-    return max(found.step, found.feasibility / FEASIBLE)
+    return max(found.step / RESOLUTION, found.feasibility / FEASIBLE)
 
 
 _NEARLY_FEASIBLE = 1e-2
@@ -112,35 +117,44 @@ def _check_and_step(nlp: Nlp, x: Array) -> tuple[KktCheck, Array | None]:
     step = _solve(system.kkt, -np.concatenate([system.gradient, system.misfit])[:, None])[: len(x), 0]
     wrong = float(np.max(system.multipliers[system.n_equalities :], initial=0.0))
     dual = wrong / max(1.0, float(np.max(np.abs(system.multipliers), initial=0.0)))
-    length = float(np.max(np.abs(step * nlp.x_scale) / nlp.resolution))
+    plane, by_unknowns = (np.asarray(value) for value in nlp.model.plane_and_jacobian(x, nlp.parameters))
+    z_L, p, q = plane.ravel()
+    size = np.array([abs(z_L), 1 + p**2 + q**2, 1 + p**2 + q**2])
+    length = float(np.max(np.abs(by_unknowns @ (step * nlp.x_scale)) / size))
     if not np.isfinite(length):
         return KktCheck(feasibility, np.inf, dual), None
     return KktCheck(feasibility, length, dual), step
 
 
-def plane_covariance(nlp: Nlp, x: Array) -> tuple[Array | None, str | None]:
-    """Covariance of ``(z_L, p, q)``: the data's covariance carried through the KKT conditions at the solution.
+@dataclass(frozen=True)
+class NoCovariance:
+    """Why there is no covariance, and what that makes of the solution."""
+
+    status: Status
+    reason: str
+
+
+def plane_covariance(nlp: Nlp, x: Array) -> Array | NoCovariance:
+    """Covariance (3, 3) of ``(z_L, p, q)``: the data's covariance carried through the KKT conditions at the solution.
 
     The conditions ``grad L = 0, g_active = 0`` define ``x`` as a function of the data; one adjoint solve with the KKT
     matrix for each of the three outputs gives its derivative ``D``, and ``D Sigma D'`` the covariance.
-
-    Returns
-    -------
-    covariance : (3, 3) or None
-    reason : str or None
-        Why there is none.
     """
     model, n = nlp.model, len(x)
     system = linearise(nlp, x)
-    at_limit = [model.rows[i].equation for i in system.rows if not model.rows[i].equality]
+    at_limit = [model.rows[i].equation.name for i in system.rows if not model.rows[i].equality]
+    # Unknowns bounded on both sides are the pose's; a slack of an L1 programme belongs on its only bound.
+    physical = np.isfinite(nlp.lower) & np.isfinite(nlp.upper)
+    near = np.minimum(x - nlp.lower, nlp.upper - x) <= ACTIVE * nlp.x_scale
+    at_limit += [f"the search's bound on {model.variables[i]}" for i in np.flatnonzero(physical & near)]
     if at_limit:
-        return None, f"an inequality holds with equality at the solution: {at_limit[0].name}"
+        return NoCovariance(Status.AT_BOUND, f"an inequality holds with equality there: {at_limit[0]}")
     load = np.zeros((system.kkt.shape[0], 3))
     load[:n] = (np.asarray(model.plane_and_jacobian(x, nlp.parameters)[1]) * nlp.x_scale).T
     adjoint = _solve(system.kkt, load)
     error = np.abs(np.asarray(system.kkt @ ca.DM(adjoint)) - load).max()
     if not error <= 1e-6 * np.abs(load).max():
-        return None, "the KKT matrix is singular: the data do not fix every unknown here"
+        return NoCovariance(Status.NO_COVARIANCE, "the KKT matrix is singular: the data do not fix every unknown here")
     by_unknowns = adjoint[:n] * nlp.x_scale[:, None]
     by_rows = np.zeros((len(model.rows), 3))
     by_rows[system.rows] = adjoint[n : n + len(system.rows)]
@@ -152,9 +166,18 @@ def plane_covariance(nlp: Nlp, x: Array) -> tuple[Array | None, str | None]:
     ]
     root = np.array(by_data) @ nlp.data_factor
     covariance = root @ root.T
-    if not (np.isfinite(covariance).all() and (np.diag(covariance) > 0).all()):
-        return None, "the covariance from the KKT matrix is not positive definite"
-    return (covariance + covariance.T) / 2, None
+    if not _positive_definite(covariance):
+        return NoCovariance(Status.NO_COVARIANCE, "the KKT conditions give one that is not positive definite")
+    return (covariance + covariance.T) / 2
+
+
+def _positive_definite(covariance: Array) -> bool:
+    """Whether the correlations are finite and no combination has vanishing variance."""
+    variances = np.diag(covariance)
+    if not (np.isfinite(covariance).all() and (variances > 0).all()):
+        return False
+    unit = 1 / np.sqrt(variances)
+    return bool(np.linalg.eigvalsh(covariance * np.outer(unit, unit))[0] > 1e3 * np.finfo(float).eps)
 
 
 def linearise(nlp: Nlp, x: Array) -> System:
@@ -182,7 +205,7 @@ def linearise(nlp: Nlp, x: Array) -> System:
     multipliers = np.zeros(len(model.rows))
     multipliers[rows] = solved[: len(rows)]
     hessian = model.hessian(x, nlp.parameters, multipliers)
-    kept = _independent(dense)
+    kept = independent_rows(dense, DEPENDENT)
     kept_rows = rows[kept[kept < len(rows)]]
     active = active[kept.tolist(), :]
     kkt = ca.blockcat([[scaling @ hessian @ scaling, active.T], [active, ca.DM(len(kept), len(kept))]])
@@ -206,33 +229,24 @@ def _multipliers(active: Array, gradient: Array, n_equalities: int) -> Array:
     if not len(active):
         return np.zeros(0)
     solved = np.linalg.lstsq(active.T, -gradient, rcond=None)[0]
-    if len(_independent(active)) == len(active) or np.all(solved[n_equalities:] <= 0):
+    if len(independent_rows(active, DEPENDENT)) == len(active) or np.all(solved[n_equalities:] <= 0):
         return solved
     upper = np.full(len(active), np.inf)
     upper[n_equalities:] = 0.0
     return scipy.optimize.lsq_linear(active.T, -gradient, bounds=(-np.inf, upper), method="bvls", tol=1e-14).x
 
 
-def _independent(active: Array) -> NDArray[np.integer]:
-    """Indices, in order, of the most rows that do not depend on each other, by pivoted QR of rows of unit length."""
-    if not len(active):
-        return np.zeros(0, dtype=int)
-    unit = active / np.maximum(np.linalg.norm(active, axis=1), np.finfo(float).tiny)[:, None]
-    triangle, order = scipy.linalg.qr(unit.T, mode="r", pivoting=True)
-    size = np.abs(np.diag(triangle))
-    return np.sort(order[: len(size)][size > _DEPENDENT * size[0]])
-
-
-_DEPENDENT = 1e-9
-"""Rows of unit length whose part orthogonal to the others is smaller than this say nothing of their own."""
-
-
 def _solve(kkt: ca.DM, load: Array) -> Array:
-    """Solve with the KKT matrix; the shortest least-squares solution where it is singular (beta at ``alpha = 0``)."""
+    """Solve with the KKT matrix, equilibrated; the shortest least-squares solution where it is singular."""
+    size = np.zeros(kkt.shape[0])
+    np.maximum.at(size, kkt.row(), np.abs(kkt.nonzeros()))
+    unit = 1 / np.sqrt(np.where(size > 0, size, 1.0))
+    scaling = ca.diag(ca.DM(unit))
+    scaled, right = scaling @ kkt @ scaling, load * unit[:, None]
     try:
-        solution = np.asarray(ca.solve(kkt, ca.DM(load), "csparse"))
+        solution = np.asarray(ca.solve(scaled, ca.DM(right), "csparse"))
     except RuntimeError:
         solution = np.full_like(load, np.nan)
-    if np.isfinite(solution).all():
-        return solution
-    return np.linalg.lstsq(np.asarray(kkt), load, rcond=None)[0]
+    if not np.isfinite(solution).all():
+        solution = np.linalg.lstsq(np.asarray(scaled), right, rcond=None)[0]
+    return solution * unit[:, None]

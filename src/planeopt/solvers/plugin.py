@@ -1,6 +1,7 @@
 """CasADi's ``nlpsol``, built once per model, plug-in and options, and driven through the stages of a programme."""
 
 import logging
+import threading
 import time
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -18,6 +19,10 @@ Array = NDArray[np.floating]
 Options = tuple[tuple[str, Any], ...]
 
 _log = logging.getLogger(__name__)
+
+# A CasADi solver keeps its memory and its statistics in itself: two threads in one crash the process. Nothing is lost
+# by taking turns, since MUMPS serialises anyway; parallel solving means processes.
+_one_at_a_time = threading.Lock()
 _built: WeakKeyDictionary[Model, dict[tuple[str, Options], ca.Function]] = WeakKeyDictionary()
 
 
@@ -40,14 +45,14 @@ class Recorder(ca.Callback):
         name = ca.nlpsol_out(i)
         return ca.Sparsity.dense(1 if name == "f" else self._shapes[name.removeprefix("lam_")], 1)
 
-    def eval(self, arguments: list[ca.DM]) -> list[int]:
-        self.iterates.append(np.asarray(arguments[0]).ravel())
+    def eval(self, arg: Any) -> list[int]:
+        self.iterates.append(np.asarray(arg[0]).ravel())
         return [0]
 
 
 EXPANDED = 300
-"""Most unknowns for which a mapped programme is expanded to scalar operations: it then solves twice as fast, but takes a
-time to build that a single solve of a large one does not win back."""
+"""Most unknowns for which a mapped programme is expanded to scalar operations: it then solves twice as fast, but
+takes a time to build that a single solve of a large one does not win back."""
 
 
 def compiled(model: Model, plugin: str, options: Options) -> ca.Function:
@@ -62,11 +67,17 @@ def compiled(model: Model, plugin: str, options: Options) -> ca.Function:
 def _build(model: Model, plugin: str, options: Options, more: dict[str, Any]) -> ca.Function:
     programme = {"x": model.x, "p": model.p, "f": model.objective, "g": model.constraints}
     expand = model.x.shape[0] <= EXPANDED
-    return ca.nlpsol("solver", plugin, programme, {**dict(options), "expand": expand, **more})
+    quiet = {"print_time": False, "show_eval_warnings": False}
+    return ca.nlpsol("solver", plugin, programme, {**quiet, **dict(options), "expand": expand, **more})
 
 
 def run(nlp: Nlp, plugin: str, options: Options, *, record: bool) -> Found:
-    """Solve the stages of a programme one after another, each from the last one's answer."""
+    """Solve the stages of a programme one after another, each from the last one's answer; one thread at a time."""
+    with _one_at_a_time:
+        return _run(nlp, plugin, options, record=record)
+
+
+def _run(nlp: Nlp, plugin: str, options: Options, *, record: bool) -> Found:
     refusal = too_many_equalities(nlp)
     if refusal is not None:
         return Found(nlp, nlp.start, "not called", kkt.check(nlp, nlp.start), Effort(), NO_TRACE, refusal)

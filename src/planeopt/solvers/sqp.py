@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from planeopt.nlp import Nlp
-from planeopt.solvers.base import Found
+from planeopt.solvers.base import Found, check_limits
 from planeopt.solvers.plugin import run
 
 
@@ -28,6 +28,9 @@ class Sqp:
     max_iter: int = 100
     record: bool = False
 
+    def __post_init__(self) -> None:
+        check_limits(self.tol, self.max_iter)
+
     @property
     def name(self) -> str:
         return "Sqp"
@@ -35,7 +38,6 @@ class Sqp:
     def solve(self, nlp: Nlp) -> Found:
         quiet = (("print_iter", False), ("print_header", False), ("print_info", False), ("error_on_fail", False))
         options = (
-            ("print_time", False),
             ("print_header", False),
             ("print_iteration", False),
             ("print_status", False),

@@ -7,9 +7,10 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
+from planeopt.errors import InputError
 from planeopt.nlp import Nlp
 from planeopt.solution import Effort, Trace
-from planeopt.solvers.base import Found
+from planeopt.solvers.base import Found, check_limits
 from planeopt.solvers.kkt import check
 
 Array = NDArray[np.floating]
@@ -19,16 +20,17 @@ Array = NDArray[np.floating]
 class Swift:
     """Minimise (29), ``J + weight * sum h^2``, for each weight in turn, from the last one's answer.
 
-    The objective ``J`` and the constraints ``h`` are those of the programme; a violated inequality counts as an ``h`` of
-    its violation. Derivatives are never used. With ``J = 0`` (the paper's reading) one common weight cannot move the
-    minimiser: raising it only tightens the tolerance.
+    The objective ``J`` and the constraints ``h`` are those of the programme; a violated inequality counts as an ``h``
+    of its violation. Derivatives are never used. With ``J = 0`` (the paper's reading) one common weight cannot move
+    the minimiser: raising it only tightens the tolerance.
 
     Parameters
     ----------
     weights : tuple of float
         The schedule, rising.
     tol : float
-        Relative size of the simplex (in the programme's scaled unknowns) and of the spread of its values at a stage's end.
+        Relative size of the simplex (in the programme's scaled unknowns) and of the spread of its values at a stage's
+        end.
     max_evaluations : int
         For each stage.
     record : bool
@@ -41,8 +43,11 @@ class Swift:
     record: bool = False
 
     def __post_init__(self) -> None:
-        if not self.weights or any(w <= 0 for w in self.weights) or list(self.weights) != sorted(self.weights):
-            raise ValueError(f"weights must be positive and rising, not {self.weights}")
+        weights = np.asarray(self.weights, dtype=float)
+        rising = weights.ndim == 1 and len(weights) > 0 and np.isfinite(weights).all()
+        if not rising or weights[0] <= 0 or np.any(np.diff(weights) <= 0):
+            raise InputError(f"Swift's weights must be positive, finite and rising, not {self.weights}")
+        check_limits(self.tol, self.max_evaluations)
 
     @property
     def name(self) -> str:
@@ -56,9 +61,9 @@ class Swift:
         inputs = np.zeros(len(nlp.start)), np.append(nlp.parameters, 0.0)
         outputs = np.zeros(1), np.zeros(len(model.rows))
         for i, argument in enumerate(inputs):
-            buffer.set_arg(i, memoryview(argument))
+            buffer.set_arg(i, argument.data)  # pyright: ignore[reportCallIssue] - the stub knows only raw pointers
         for i, result in enumerate(outputs):
-            buffer.set_res(i, memoryview(result))
+            buffer.set_res(i, result.data)  # pyright: ignore[reportCallIssue]
 
         def value(scaled: Array) -> float:
             inputs[0][:] = scaled * nlp.x_scale
@@ -67,7 +72,7 @@ class Swift:
             total = float(outputs[0][0] + inputs[1][-1] * (violation @ violation))
             return total if np.isfinite(total) else np.inf
 
-        limits = scipy.optimize.Bounds(nlp.lower / nlp.x_scale, nlp.upper / nlp.x_scale)
+        limits = list(zip(nlp.lower / nlp.x_scale, nlp.upper / nlp.x_scale, strict=True))
         effort = Effort(build_s=time.perf_counter() - begun)
         scaled, paths, reports = nlp.start / nlp.x_scale, [], []
         for weight in self.weights:
