@@ -30,8 +30,14 @@ test: lint types
 bench: $(READY)
 	$(BIN)/pytest benchmarks -p no:cacheprovider
 
+# A page for each room but the command line, whose documentation is its --help; the rooms' pages hold their public names.
+ROOMS := $(sort $(filter-out __% cli,$(basename $(notdir $(wildcard src/planeopt/*.py))) \
+	$(notdir $(patsubst %/__init__.py,%,$(wildcard src/planeopt/*/__init__.py)))))
+
 docs: $(READY)
-	$(BIN)/pdoc --docformat numpy --math -o docs/api planeopt
+	rm -rf docs/api
+	$(BIN)/python -W error -m pdoc --docformat numpy --math -t docs/theme -o docs/api \
+		planeopt $(ROOMS:%=planeopt.%) '!planeopt[.].*[.].*'
 
 clean:
 	rm -rf $(VENV) demo-output docs/api build dist .pytest_cache .ruff_cache .hypothesis .benchmarks
