@@ -134,11 +134,14 @@ class KktCheck:
         By how much the Newton step to the nearest KKT point would still move the plane, relative as in `RESOLUTION`.
     dual : float
         Largest inequality multiplier with the wrong sign over the size of the multipliers.
+    minimum : bool
+        Whether the Lagrangian curves upwards there: not a saddle or a maximum.
     """
 
     feasibility: float
     step: float
     dual: float
+    minimum: bool = True
 
     @property
     def feasible(self) -> bool:
@@ -146,7 +149,7 @@ class KktCheck:
 
     @property
     def ok(self) -> bool:
-        return self.feasible and self.step <= RESOLUTION and self.dual <= DUAL
+        return self.feasible and self.step <= RESOLUTION and self.dual <= DUAL and self.minimum
 
 
 @dataclass(frozen=True)

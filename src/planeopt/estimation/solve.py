@@ -10,8 +10,9 @@ from planeopt import equations as eq
 from planeopt.estimation import evidence, starts
 from planeopt.estimation.rig_part import sensitivity
 from planeopt.formulations import Constrained, DirectAnswer, Elastic, Formulation, Problem, Refusal, Start, identify
+from planeopt.formulations.snooping import explained_without
 from planeopt.rig import Rig
-from planeopt.solution import RESOLUTION, Flag, Identifiability, Solution, SolveError, Status
+from planeopt.solution import RESOLUTION, Flag, Identifiability, KktCheck, Solution, SolveError, Status
 from planeopt.solvers import Found, Ipopt, Solver
 from planeopt.solvers.kkt import NoCovariance, plane_covariance
 from planeopt.spot import Spot
@@ -141,14 +142,17 @@ def _searched(blank: Solution, problem: Problem, found: Found) -> Solution:
     if not np.isfinite(plane).all() or not found.kkt.feasible:
         return _refused(solution, Status.INFEASIBLE, f"{Status.INFEASIBLE.value} {_worst_row(found)}")
     if not found.kkt.ok:
-        left = (
-            f"A Newton step would still move the plane by {found.kkt.step:.1e} of itself"
-            if found.kkt.step > RESOLUTION
-            else "A multiplier has the wrong sign: leaving an inequality's limit would still improve the objective"
-        )
-        message = f"{Status.NOT_CONVERGED.value} {left} ({solution.solver}: {found.report})."
+        message = f"{Status.NOT_CONVERGED.value} {_what_is_missing(found.kkt)} ({solution.solver}: {found.report})."
         return _refused(solution, Status.NOT_CONVERGED, message)
     return _judged(solution, problem, plane, plane_covariance(found.nlp, found.x))
+
+
+def _what_is_missing(kkt: KktCheck) -> str:
+    if kkt.step > RESOLUTION:
+        return f"A Newton step would still move the plane by {kkt.step:.1e} of itself"
+    if not kkt.minimum:
+        return "It is a saddle or a maximum"
+    return "A multiplier has the wrong sign: leaving an inequality's limit would still improve the objective"
 
 
 def _sentence(identifiability: Identifiability | None) -> str:
@@ -197,31 +201,35 @@ def _judged(solution: Solution, problem: Problem, plane: Array, covariance: Arra
         other_plane=evidence.second_plane(problem, plane),
         residuals=evidence.residuals(problem, plane),
     )
-    status, message = _verdict(judged, fit, missing)
+    status, message = _verdict(problem, judged, plane, fit, missing)
     return replace(judged, status=status, message=message, flags=(*judged.flags, *_reservations(problem, judged, fit)))
 
 
-def _verdict(solution: Solution, fit: evidence.Fit, missing: NoCovariance | None) -> tuple[Status, str]:
+def _verdict(
+    problem: Problem, solution: Solution, plane: Array, fit: evidence.Fit, missing: NoCovariance | None
+) -> tuple[Status, str]:
     if fit.improbable:
         numbers = f"chi-squared {fit.chi2:.4g} with {evidence.DOF} degrees of freedom, p = {fit.p_value:.1e}"
-        return Status.INCONSISTENT, f"{Status.INCONSISTENT.value} ({numbers}){_fault(solution)}"
+        return Status.INCONSISTENT, f"{Status.INCONSISTENT.value} ({numbers}){_fault(problem, solution, plane)}"
     if missing is not None:
         detail = "" if missing.status is Status.NO_NOISE_SCALE else f" ({missing.reason})"
         return missing.status, missing.status.value + detail
     return Status.CONVERGED, Status.CONVERGED.value
 
 
-_AT_FAULT = float(scipy.stats.norm.isf(evidence.IMPROBABLE / 2 / len(eq.IMAGE_BLOCK)))
-"""Standard deviations that none of the five residuals of right data reaches more often than once in a million."""
-
-
-def _fault(solution: Solution) -> str:
-    """The equation at fault, where the formulation leaves a gross error in its place."""
+def _fault(problem: Problem, solution: Solution, plane: Array) -> str:
+    """The equation at fault, where the formulation leaves a gross error in its place, and what else explains it."""
     worst = solution.worst
     if solution.formulation != Elastic().name or worst is None or (worst.sigmas or 0) < _AT_FAULT:
         return ""
     size = f"off by {worst.value:.4g} {worst.unit}, {worst.sigmas:.1f} standard deviations"
-    return f" At fault: {worst.equation} {worst.name}, {size}."
+    others = [e for e in explained_without(problem, plane, evidence.IMPROBABLE) if f"({e.number})" != worst.equation]
+    doubt = f" Without {' or '.join(f'({e.number})' for e in others)} the rest would agree as well." if others else ""
+    return f" At fault: {worst.equation} {worst.name}, {size}.{doubt}"
+
+
+_AT_FAULT = float(scipy.stats.norm.isf(evidence.IMPROBABLE / 2 / len(eq.IMAGE_BLOCK)))
+"""Standard deviations that none of the five residuals of right data reaches more often than once in a million."""
 
 
 def _reservations(problem: Problem, solution: Solution, fit: evidence.Fit) -> list[Flag]:

@@ -63,8 +63,13 @@ def _rank(matrix: Array) -> int:
 
 
 def _dependent(laser: Array) -> tuple[str, ...]:
-    """Rows of the laser block that repeat the others."""
-    kept = set(independent_rows(laser, RANK_TOLERANCE).tolist())
+    """Rows of the laser block that repeat one before them; rows that hardly change there (sin 2 beta = 0) come last."""
+    length = np.linalg.norm(laser, axis=1)
+    order = np.argsort(length < 0.1 * length.max(), kind="stable")
+    kept: list[int] = []
+    for i in order:
+        if len(independent_rows(laser[[*kept, i]], RANK_TOLERANCE)) > len(kept):
+            kept.append(int(i))
     return tuple(f"({e.number})" for i, e in enumerate(eq.LASER_BLOCK) if i not in kept)
 
 

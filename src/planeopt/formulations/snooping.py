@@ -1,6 +1,7 @@
 """Which image equation is at fault: how an error in one coefficient of B shows (Baarda's data snooping)."""
 
 import numpy as np
+import scipy.stats
 from numpy.typing import NDArray
 
 from planeopt import equations as eq
@@ -34,6 +35,20 @@ def detectability(problem: Problem, plane: Array) -> Array:
         1 over the unit of B_1 ... B_5.
     """
     return np.linalg.norm(space_left_by_plane(problem, plane) @ np.linalg.inv(problem.B_factor), axis=0)
+
+
+def explained_without(problem: Problem, plane: Array, level: float) -> tuple[eq.Equation, ...]:
+    """Image equations whose data alone, if wrong, explain the whole misfit: the others then agree at this level.
+
+    In the two directions left over, an error in one coefficient of B can point almost where an error in another does;
+    then only a large one can be told from the other.
+    """
+    space = space_left_by_plane(problem, plane)
+    statistic = space @ np.linalg.solve(problem.B_factor, image_misfit(problem, plane))
+    directions = space @ np.linalg.inv(problem.B_factor)
+    unit = directions / np.linalg.norm(directions, axis=0)
+    rest = statistic @ statistic - (statistic @ unit) ** 2
+    return tuple(e for e, chi2 in zip(eq.IMAGE_BLOCK, rest, strict=True) if scipy.stats.chi2.sf(chi2, 1) >= level)
 
 
 def space_left_by_plane(problem: Problem, plane: Array) -> Array:

@@ -12,6 +12,7 @@ import scipy.optimize
 from numpy.typing import NDArray
 
 from planeopt.nlp import Nlp
+from planeopt.plane import BETA_TOLERANCE
 from planeopt.ranks import independent_rows
 from planeopt.solution import FEASIBLE, RESOLUTION, KktCheck, Status
 
@@ -112,18 +113,37 @@ def _check_and_step(nlp: Nlp, x: Array) -> tuple[KktCheck, Array | None]:
     outside = np.maximum(np.maximum(nlp.lower - x, x - nlp.upper), 0.0) / nlp.x_scale
     feasibility = float(np.max(np.concatenate([violation, outside])))
     if not np.isfinite(feasibility):
-        return KktCheck(np.inf, np.inf, np.inf), None
+        return KktCheck(np.inf, np.inf, np.inf, minimum=False), None
     system = linearise(nlp, x)
     step = _solve(system.kkt, -np.concatenate([system.gradient, system.misfit])[:, None])[: len(x), 0]
     wrong = float(np.max(system.multipliers[system.n_equalities :], initial=0.0))
     dual = wrong / max(1.0, float(np.max(np.abs(system.multipliers), initial=0.0)))
     plane, by_unknowns = (np.asarray(value) for value in nlp.model.plane_and_jacobian(x, nlp.parameters))
     z_L, p, q = plane.ravel()
-    size = np.array([abs(z_L), 1 + p**2 + q**2, 1 + p**2 + q**2])
+    size = np.array([max(abs(z_L), np.finfo(float).tiny), 1 + p**2 + q**2, 1 + p**2 + q**2])
     length = float(np.max(np.abs(by_unknowns @ (step * nlp.x_scale)) / size))
     if not np.isfinite(length):
-        return KktCheck(feasibility, np.inf, dual), None
-    return KktCheck(feasibility, length, dual), step
+        return KktCheck(feasibility, np.inf, dual, minimum=False), None
+    return KktCheck(feasibility, length, dual, _is_minimum(system, len(x))), step
+
+
+def _is_minimum(system: System, n: int) -> bool:
+    """Whether the Lagrangian curves upwards along the active constraints, which a Newton step cannot tell.
+
+    It does so exactly when the KKT matrix has ``n`` positive and ``m`` negative eigenvalues; one at rounding level
+    (beta at ``alpha = 0``) is neither.
+    """
+    m = system.kkt.shape[0] - n
+    if m == 0:
+        # Without active constraints the matrix is the Hessian: pivots of a sparse factor tell its signs.
+        pivots = np.asarray(ca.ldl(_equilibrated(system.kkt)[0])[0]).ravel()
+        return bool(np.all(pivots > -_FLAT * np.abs(pivots).max()))
+    eigenvalues = np.linalg.eigvalsh(np.asarray(_equilibrated(system.kkt)[0]))
+    return int(np.sum(eigenvalues < -_FLAT * np.abs(eigenvalues).max())) <= m
+
+
+_FLAT = 1e-12
+"""Curvature below this share of the largest is rounding."""
 
 
 @dataclass(frozen=True)
@@ -149,19 +169,21 @@ def plane_covariance(nlp: Nlp, x: Array) -> Array | NoCovariance:
     at_limit += [f"the search's bound on {model.variables[i]}" for i in np.flatnonzero(physical & near)]
     if at_limit:
         return NoCovariance(Status.AT_BOUND, f"an inequality holds with equality there: {at_limit[0]}")
+    by_unknowns = np.asarray(model.plane_and_jacobian(x, nlp.parameters)[1]) * nlp.x_scale
+    if _rows_depend(by_unknowns):
+        reason = "the unknowns cannot express every change of the plane there (at alpha = 0 use slopes)"
+        return NoCovariance(Status.NO_COVARIANCE, reason)
     load = np.zeros((system.kkt.shape[0], 3))
-    load[:n] = (np.asarray(model.plane_and_jacobian(x, nlp.parameters)[1]) * nlp.x_scale).T
+    load[:n] = by_unknowns.T
     adjoint = _solve(system.kkt, load)
     error = np.abs(np.asarray(system.kkt @ ca.DM(adjoint)) - load).max()
     if not error <= 1e-6 * np.abs(load).max():
         return NoCovariance(Status.NO_COVARIANCE, "the KKT matrix is singular: the data do not fix every unknown here")
-    by_unknowns = adjoint[:n] * nlp.x_scale[:, None]
+    weights = adjoint[:n] * nlp.x_scale[:, None]
     by_rows = np.zeros((len(model.rows), 3))
     by_rows[system.rows] = adjoint[n : n + len(system.rows)]
     by_data = [
-        np.asarray(
-            model.data_adjoint(x, nlp.parameters, system.row_multipliers, by_unknowns[:, i], by_rows[:, i])
-        ).ravel()
+        np.asarray(model.data_adjoint(x, nlp.parameters, system.row_multipliers, weights[:, i], by_rows[:, i])).ravel()
         for i in range(3)
     ]
     root = np.array(by_data) @ nlp.data_factor
@@ -169,6 +191,12 @@ def plane_covariance(nlp: Nlp, x: Array) -> Array | NoCovariance:
     if not _positive_definite(covariance):
         return NoCovariance(Status.NO_COVARIANCE, "the KKT conditions give one that is not positive definite")
     return (covariance + covariance.T) / 2
+
+
+def _rows_depend(matrix: Array) -> bool:
+    """Whether some combination of the rows, at unit length, nearly vanishes, as where beta means nothing."""
+    unit = matrix / np.linalg.norm(matrix, axis=1)[:, None]
+    return bool(np.linalg.svd(unit, compute_uv=False)[-1] < BETA_TOLERANCE)
 
 
 def _positive_definite(covariance: Array) -> bool:
@@ -236,13 +264,19 @@ def _multipliers(active: Array, gradient: Array, n_equalities: int) -> Array:
     return scipy.optimize.lsq_linear(active.T, -gradient, bounds=(-np.inf, upper), method="bvls", tol=1e-14).x
 
 
-def _solve(kkt: ca.DM, load: Array) -> Array:
-    """Solve with the KKT matrix, equilibrated; the shortest least-squares solution where it is singular."""
+def _equilibrated(kkt: ca.DM) -> tuple[ca.DM, Array]:
+    """``D K D`` and the diagonal of ``D``, by which every row's largest entry is brought near 1."""
     size = np.zeros(kkt.shape[0])
     np.maximum.at(size, kkt.row(), np.abs(kkt.nonzeros()))
     unit = 1 / np.sqrt(np.where(size > 0, size, 1.0))
     scaling = ca.diag(ca.DM(unit))
-    scaled, right = scaling @ kkt @ scaling, load * unit[:, None]
+    return scaling @ kkt @ scaling, unit
+
+
+def _solve(kkt: ca.DM, load: Array) -> Array:
+    """Solve with the KKT matrix, equilibrated; the shortest least-squares solution where it is singular."""
+    scaled, unit = _equilibrated(kkt)
+    right = load * unit[:, None]
     try:
         solution = np.asarray(ca.solve(scaled, ca.DM(right), "csparse"))
     except RuntimeError:
