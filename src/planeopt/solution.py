@@ -115,7 +115,7 @@ beam).
 It can be loose, because the Newton step that must also be small goes onto the constraints; tighter, and a row whose
 standard deviation is near the rounding of B itself could never pass."""
 
-RESOLUTION = 1e-9
+RESOLUTION = 1e-8
 """Largest step that may be left at a solution, relative to depth, and in slopes to 1 + tan^2(alpha)."""
 
 DUAL = 1e-6

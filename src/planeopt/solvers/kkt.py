@@ -86,7 +86,7 @@ def polish(nlp: Nlp, x: Array) -> tuple[Array, KktCheck, int]:
     """
     found, step = _check_and_step(nlp, x)
     steps = 0
-    while not found.ok and step is not None and found.feasibility < _NEARLY_FEASIBLE and steps < _MOST_POLISH:
+    while _distance(found) > 1 and step is not None and found.feasibility < _NEARLY_FEASIBLE and steps < _MOST_POLISH:
         moved = np.clip(x + step * nlp.x_scale, nlp.lower, nlp.upper)
         next_found, next_step = _check_and_step(nlp, moved)
         steps += 1
@@ -97,7 +97,8 @@ def polish(nlp: Nlp, x: Array) -> tuple[Array, KktCheck, int]:
 
 
 def _distance(found: KktCheck) -> float:
-    return max(found.step / RESOLUTION, found.feasibility / FEASIBLE)
+    """How far from an answer that needs no polish, a tenth of what still counts as one."""
+    return 10 * max(found.step / RESOLUTION, found.feasibility / FEASIBLE)
 
 
 _NEARLY_FEASIBLE = 1e-2

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from planeopt.errors import InputError
 from planeopt.nlp import Nlp
 from planeopt.solution import Effort, Trace
-from planeopt.solvers.base import Found, check_limits
+from planeopt.solvers.base import NO_TRACE, Found, check_limits
 from planeopt.solvers.kkt import check
 
 Array = NDArray[np.floating]
@@ -97,6 +97,8 @@ class Swift:
     def _trace(self, nlp: Nlp, paths: list[Array]) -> Trace:
         """Best vertex of every iteration; objective and largest violation as the unpenalised programme has them."""
         iterates = np.concatenate(paths)
+        if not len(iterates):
+            return NO_TRACE
         stage = np.repeat(np.arange(len(paths)), [len(path) for path in paths])
         f, g = nlp.model.values.map(len(iterates))(iterates.T, nlp.parameters)
         rows, equalities = np.asarray(g), nlp.model.equalities[:, None]
