@@ -398,3 +398,54 @@ def test_16_vanishes_on_the_image() -> None:
     B = ellipse(WORKED, WORKED_SETUP)
     values = eq.eq16(np, B.tolist(), *boundary(WORKED, WORKED_SETUP, THETA).T)
     assert np.abs(values).max() < 100 * EPS * 1111
+
+
+# --- What the image holds of plane and rig (docs/model.md, sections 5 to 7) ------------------------------------------
+
+
+@EXAMPLES
+@given(case=cases())
+def test_quadratic_of_the_closed_form(case) -> None:
+    """A z_L^2 + 2 h z_L - C = 0, and the intercept is A z_L + h, so that c^2 = h^2 + A C."""
+    v, k = case
+    e, n = np.array([k.e_x, k.e_y]), np.array(eq.slopes(np, v))
+    d, m = e * v.z_L - k.r**2 * n, v.z_L**2 - k.r**2 * n @ n
+    outside, h, C = 1 - e @ e / k.r**2, e @ d / k.r**2, d @ d / k.r**2 + m
+    terms = np.array([outside * v.z_L**2, 2 * h * v.z_L, -C])
+    assert terms.sum() == pytest.approx(0, abs=ROUNDING * np.abs(terms).max())
+    c = eq.lit_side_in_slopes(np, on_the_beam(v), k)
+    assert outside * v.z_L + h == pytest.approx(c, abs=ROUNDING * (abs(outside * v.z_L) + abs(h)))
+    assert h**2 + outside * C == pytest.approx(c**2, abs=ROUNDING * (h**2 + abs(outside * C)))
+
+
+@EXAMPLES
+@given(case=cases())
+def test_every_image_touches_the_images_of_the_beams_silhouettes(case) -> None:
+    v, k = case
+    distance = math.hypot(k.e_x, k.e_y)
+    assume(distance > 1.05 * k.r)
+    dual = dual_conic(ellipse(v, k))
+    scale = np.abs(dual[:2, :2]).max()
+    for side in (1, -1):
+        # A line through the principal point whose unit normal l has l.e = +-r.
+        direction = math.atan2(k.e_y, k.e_x) + side * math.acos(k.r / distance)
+        line = np.array([math.cos(direction), math.sin(direction), 0.0])
+        assert line @ dual @ line == pytest.approx(0, abs=ROUNDING * scale)
+
+
+@EXAMPLES
+@given(case=cases(), s=st.floats(0.5, 2))
+def test_image_tells_neither_the_focal_length_nor_the_scale(case, s: float) -> None:
+    v, k = case
+    plane, B = slopes(v), ellipse(v, k)
+
+    def image(plane: np.ndarray, setup: eq.Setup) -> np.ndarray:
+        b = np.array(eq.image_conic_in_slopes(np, eq.SlopeVariables(None, *plane), setup))
+        return b[1:] / b[0]
+
+    sizes = natural_sizes(B, k)[5:]
+    # A lens s times as long sees a plane s times as far and as steep in the same place of the sensor.
+    longer = image(s * plane, k._replace(f=s * k.f))
+    assert longer / sizes == pytest.approx(B / sizes, abs=ROUNDING)
+    larger = image(plane * [s, 1, 1], eq.Setup(k.f, s * k.e_x, s * k.e_y, s * k.r))
+    assert larger / sizes == pytest.approx(B / sizes, abs=ROUNDING)
