@@ -33,13 +33,13 @@ AT_LEAST = eq.Equation("1", "depth is at least 1", "mm", eq.Block.GEOMETRY, lamb
 ALIKE = eq.Equation("11", "both slopes are alike", "1", eq.Block.LASER, lambda _: None)
 
 
-def toy(data: tuple[float, float, float], *, alike: bool = False) -> Nlp:
+def toy(data: tuple[float, float, float], *, alike: bool = False, saddle: bool = False) -> Nlp:
     """The plane nearest to measured ``(z_L, p, q)``, with ``z_L >= 1`` and perhaps ``p = q``."""
     x, d = ca.SX.sym("x", 3), ca.SX.sym("d", 3)
     rows: list[tuple[ca.SX, Row]] = [(x[0] - 1, Row(AT_LEAST, equality=False))]
     if alike:
         rows.insert(0, (x[1] - x[2], Row(ALIKE)))
-    objective = ca.sumsqr(x - d) / 2
+    objective = ca.sumsqr(x - d) / 2 - (3 * x[1] ** 2 if saddle else 0)
     expressions, named = zip(*rows, strict=True)
     model = Model("toy", ("z_L", "p", "q"), x, d, objective, ca.vertcat(*expressions), tuple(named), x, d)
     covariance = np.array([[4.0, 0.5, 0.2], [0.5, 1.0, 0.1], [0.2, 0.1, 2.0]])
@@ -80,6 +80,16 @@ def test_an_infeasible_point_fails_even_where_the_objective_is_stationary() -> N
     assert unequal.feasibility == pytest.approx(1.0)
     assert not unequal.ok
     assert check(toy((3.0, 0.5, -0.5), alike=True), np.array([3.0, 0.0, 0.0])).ok
+
+
+def test_a_saddle_is_stationary_and_no_minimum() -> None:
+    """There the Newton step vanishes as it does at a minimum: ``p - d_2 - 6 p = 0``."""
+    found = check(toy((3.0, 0.5, -0.5), saddle=True), np.array([3.0, -0.1, -0.5]))
+    assert found.feasible
+    assert found.step < RESOLUTION
+    assert not found.ok
+    # Where the constraint p = q takes the bad direction's half away, what is left still curves down.
+    assert not check(toy((3.0, 0.5, -0.5), saddle=True, alike=True), np.array([3.0, 0.0, 0.0])).ok
 
 
 def test_a_point_that_is_not_finite_fails() -> None:
