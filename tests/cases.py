@@ -10,7 +10,7 @@ from planeopt import equations as eq
 from planeopt.plane import Plane, SpotPose
 from planeopt.rig import Beam, Camera, Rig
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 WORKED_SETUP = eq.Setup(25.0, 30.0, 40.0, 10.0)
 WORKED = eq.PaperVariables(20.0, 75.0, math.radians(60), math.radians(30))
@@ -57,9 +57,8 @@ def random_case(rng: np.random.Generator, n: int = 40, kind: str = "any") -> Cas
         azimuth = rng.uniform(-np.pi, np.pi)
         lx, ly = math.sin(misaligned) * math.cos(azimuth), math.sin(misaligned) * math.sin(azimuth)
         fx = rng.uniform(1000, 4000)
-        camera = Camera(
-            (2000, 1500), fx, fx * rng.uniform(0.99, 1.01), 1000.0, 750.0, (0.0,) * 5, rng.choice([0.005, None])
-        )
+        pitch = (0.005, None)[rng.integers(2)]
+        camera = Camera((2000, 1500), fx, fx * rng.uniform(0.99, 1.01), 1000.0, 750.0, (0.0, 0.0, 0.0, 0.0, 0.0), pitch)
         beam = Beam(radius, (offset * math.cos(turn), offset * math.sin(turn)), (lx, ly, math.sqrt(1 - lx**2 - ly**2)))
         rig = Rig(camera, beam)
         alpha = 0.0 if kind == "frontal" else math.radians(rng.uniform(0, 75))

@@ -177,17 +177,19 @@ def test_sigmas_are_the_derivatives_of_the_pose() -> None:
     """Against central differences of `SpotPose.from_slopes` with a step of 1e-6: good to 1e-8."""
     plane, radius = np.array([250.0, 0.4, -0.3]), 10.0
     covariance = np.array([[0.04, 1e-3, -2e-3], [1e-3, 1e-3, 2e-4], [-2e-3, 2e-4, 2e-3]])
-    pose = SpotPose.from_slopes(*plane, radius)
+    pose = SpotPose.from_slopes(250.0, 0.4, -0.3, radius)
     steps = 1e-6 * np.eye(3)
 
     def angles(at: Array) -> Array:
-        moved = SpotPose.from_slopes(*at, radius)
-        return np.array([moved.z_L, moved.alpha, moved.beta, moved.R])
+        z_L, p, q = (float(value) for value in at)
+        moved = SpotPose.from_slopes(z_L, p, q, radius)
+        return np.array([moved.z_L, moved.alpha, moved.beta or 0.0, moved.R])
 
     jacobian = np.array([(angles(plane + s) - angles(plane - s)) / 2e-6 for s in steps]).T
     expected = np.sqrt(np.diag(jacobian @ covariance @ jacobian.T))
     found = sigmas(pose, covariance, np.eye(3), radius)
-    np.testing.assert_allclose([found.z_L, found.alpha, found.beta, found.R], expected, rtol=1e-7)
+    values = np.array([found.z_L, found.alpha, found.beta, found.R], dtype=float)
+    np.testing.assert_allclose(values, expected, rtol=1e-7)
 
 
 def test_the_second_plane_outside_inside_and_on_the_beam() -> None:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from planeopt.equations import Setup
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 Analytic = NDArray[np.inexact]
 """Real, or complex for a derivative by a complex step."""
 
@@ -126,8 +126,8 @@ def from_dual(B: Analytic, setup: Setup) -> tuple[Analytic, Analytic, Analytic]:
     """Visible plane from the line conic; right also at ``|e| = r`` and ``e = 0``.
 
     ``C* = mu [[f^2 (e e' - r^2 I), f (e z_L - r^2 n)], [., z_L^2 - r^2 |n|^2]]``: its upper left block gives ``mu``,
-    then ``A c^2 - 2 h c - C = 0`` with ``A = 1 - |e|^2/r^2``, ``h = e.d/r^2``, ``C = |d|^2/r^2 + C*_22/mu``, ``d =
-    C*_12/(mu f)``.
+    then ``A z_L^2 + 2 h z_L - C = 0`` with ``A = 1 - |e|^2/r^2``, ``h = e.d/r^2``,
+    ``C = |d|^2/r^2 + C*_22/mu``, ``d = C*_12/(mu f)``.
     """
     f, e_x, e_y, r = setup
     b1, b2, c1, c2, g = B[..., 0] / 2, B[..., 1], B[..., 2] / 2, B[..., 3] / 2, B[..., 4]

@@ -7,20 +7,18 @@ origin at the principal point, in the laser-parallel frame (`planeopt.rig` rotat
 The numbers are those of Zhu et al., *An Algorithm of Determining the Plane Based on Monocular Vision and Laser Loop*,
 with the misprints corrected; what the paper prints is kept in `planeopt.paper`. ``docs/model.md`` derives all of it.
 
-=========  ============================================================================================
-number     here
-=========  ============================================================================================
-(1)        `planeopt.plane.Plane.intercepts`
-(3)        `spot_point`; on the laser constraint, in slopes, `spot_point_in_slopes`
-(5)        `image_point`, and its inverse `spot_angle` with the coefficients `a_coefficients`
-(6)        `image_conic`; on the laser constraint, in slopes, `image_conic_in_slopes`
-(9)        `laser_conic`
-(11)-(15)  `eq11` ... `eq15`, together `LASER_BLOCK`; their independent form `laser_constraint`
-(16)       `eq16`
-(17)-(21)  `eq17` ... `eq21`, together `IMAGE_BLOCK`
-(23)-(28)  `eq23` (the image block as one vector) and `eq24` ... `eq28` (the laser block), as constraints h = 0
-(29)       `eq29`
-=========  ============================================================================================
+| number | here |
+|---|---|
+| (1) | `planeopt.plane.Plane.intercepts` |
+| (3) | `spot_point`; on the laser constraint, in slopes, `spot_point_in_slopes` |
+| (5) | `image_point`, and its inverse `spot_angle` with the coefficients `a_coefficients` |
+| (6) | `image_conic`; on the laser constraint, in slopes, `image_conic_in_slopes` |
+| (9) | `laser_conic` |
+| (11)-(15) | `eq11` ... `eq15`, together `LASER_BLOCK`; their independent form `laser_constraint` |
+| (16) | `eq16` |
+| (17)-(21) | `eq17` ... `eq21`, together `IMAGE_BLOCK` |
+| (23)-(28) | as constraints h = 0: `eq23` the image block as one vector, `eq24` ... `eq28` the laser block |
+| (29) | `eq29` |
 """
 
 from collections.abc import Callable, Sequence
@@ -30,7 +28,6 @@ from typing import Any, NamedTuple
 
 Namespace = Any
 """`numpy` or `casadi`: a module with sin, cos and sqrt for the numbers at hand."""
-
 
 Coefficients = Any
 """B_1 ... B_5: anything that indexes, from arrays to lists of symbols."""
@@ -195,7 +192,7 @@ def image_conic_in_slopes(m: Namespace, v: SlopeVariables, k: Setup) -> tuple[An
     )
 
 
-@equation("9", "the spot seen along the laser axis", "mm^2", Block.GEOMETRY)
+@equation("9", "the spot seen along the laser axis", "mm^4", Block.GEOMETRY)
 def laser_conic(m: Namespace, v: PaperVariables, k: Setup) -> tuple[Any, ...]:
     """(9): ``(d_0, ..., d_5)`` of the spot's projection along the beam, which must be the beam's cross-section."""
     sb, cb, section = m.sin(v.beta), m.cos(v.beta), v.R**2 * m.cos(v.alpha) ** 2

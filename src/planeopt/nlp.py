@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planeopt.equations import Equation, eq29
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 Symbol = Any
 """`casadi.SX` or `casadi.MX`."""
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from planeopt import equations as eq
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 SETUP = eq.Setup(f=25.0, e_x=30.0, e_y=40.0, r=10.0)
 """The worked example's rig: focal length, beam offset and radius, mm; a parallel beam."""

@@ -6,7 +6,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 
 def independent_rows(matrix: Array, tolerance: float) -> NDArray[np.integer]:

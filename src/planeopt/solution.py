@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planeopt.plane import Plane, SpotPose
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 
 class Status(Enum):

@@ -16,7 +16,7 @@ from planeopt.formulations.snooping import detectability, image_misfit, space_le
 from planeopt.plane import Plane, SpotPose
 from planeopt.solution import OtherPlane, Residual, Uncertainty
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 IMPROBABLE = 1e-6
 """A chi-squared that a right rig exceeds this rarely is evidence against it."""

@@ -11,7 +11,7 @@ from planeopt import equations as eq
 from planeopt.formulations.problem import Problem
 from planeopt.rig import Rig, distort, rotation_to_axis
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 CAMERA = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 BEAM = ("e_x", "e_y", "radius", "direction_x", "direction_y")
@@ -70,7 +70,7 @@ def sensitivity(problem: Problem, rig: Rig, plane: Array) -> Sensitivity:
     rows = np.asarray(_point_rows().map(n)(normalised.T, noise, nominal, plane, problem.setup.f))
     derivative = rows.reshape(3 + len(PARAMETERS), n, order="F").T
     by_plane, by_rig = derivative[:, :3], derivative[:, 3:] @ choice
-    step = -np.linalg.lstsq(by_plane, by_rig, rcond=None)[0]
+    step = -np.asarray(np.linalg.lstsq(by_plane, by_rig, rcond=None)[0], dtype=float)
     shift_by_rig, normal_by_plane, normal_by_rig = (np.asarray(m) for m in _outputs()(plane, nominal))
     along_beam = step.copy()
     along_beam[0] -= (shift_by_rig @ choice)[0]

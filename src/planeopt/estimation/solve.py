@@ -17,7 +17,7 @@ from planeopt.solvers import Found, Ipopt, Solver
 from planeopt.solvers.kkt import NoCovariance, plane_covariance
 from planeopt.spot import Spot
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 # model.md: beyond these the first-order intervals were measured to be too short, R, alpha and beta earlier than the
 # slopes.

@@ -10,7 +10,7 @@ from planeopt.formulations.problem import Problem
 from planeopt.nlp import Nlp
 from planeopt.solution import Status
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from planeopt.errors import InputError
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 Variables = Literal["slopes", "paper"]
 
 # A plane seen more edge-on than this shows no ellipse that a camera could measure; without finite bounds a search can

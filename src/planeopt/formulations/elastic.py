@@ -18,7 +18,7 @@ from planeopt.formulations.problem import Problem
 from planeopt.formulations.snooping import detectability, image_misfit, space_left_by_plane
 from planeopt.nlp import Model, Nlp, Row
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 VISIBLE = (eq.in_front, eq.lit_side)
 

@@ -13,7 +13,7 @@ from planeopt.formulations.problem import Problem
 from planeopt.ranks import independent_rows
 from planeopt.solution import Identifiability
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 RANK_TOLERANCE = 1e-9
 """Relative to the largest singular value of rows and columns scaled to order 1: far above rounding, far below data."""

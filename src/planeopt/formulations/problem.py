@@ -12,7 +12,7 @@ from planeopt.rig import Rig
 from planeopt.solution import Flag
 from planeopt.spot import Spot
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 NOISE_FLOOR = 1e-7
 """Smallest noise standard deviation, as a fraction of the points' RMS distance from their mean.
@@ -151,7 +151,7 @@ class Problem:
         if not np.allclose(sigma / np.outer(scale, scale), sigma.T / np.outer(scale, scale), rtol=0, atol=1e-9):
             raise InputError("the covariance of B is not symmetric")
         try:
-            factor = scale[:, None] * np.linalg.cholesky(sigma / np.outer(scale, scale))
+            factor = np.asarray(scale[:, None] * np.linalg.cholesky(sigma / np.outer(scale, scale)), dtype=float)
         except np.linalg.LinAlgError as error:
             raise InputError("the covariance of B is not positive definite") from error
         return cls(setup, coefficients, factor)

@@ -16,7 +16,7 @@ from planeopt.formulations.problem import Problem
 from planeopt.nlp import Model, Nlp, Row
 from planeopt.solution import Status
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Reprojection:
             )
         n, k = problem.n_points, problem.setup
         roots = np.linalg.cholesky(problem.noise)
-        whitening = np.linalg.inv(roots)
+        whitening = np.asarray(np.linalg.inv(roots), dtype=float)
         triangle = np.stack([whitening[:, 0, 0], whitening[:, 1, 0], whitening[:, 1, 1]])
         centre = np.concatenate([start.plane, _angles(problem.points, eq.SlopeVariables(start.R, *start.plane), k)])
         plane_unit, angle_unit = _units(problem, whitening, centre)

@@ -8,7 +8,7 @@ from planeopt import equations as eq
 from planeopt.formulations.identifiability import independent_jacobian
 from planeopt.formulations.problem import Problem
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 
 def image_misfit(problem: Problem, plane: Array) -> Array:

@@ -16,7 +16,7 @@ from planeopt.reproduction.results import Reproduction
 from planeopt.reproduction.searches import stated_plane
 from planeopt.reproduction.style import BEAM, SECOND, TRUE, new_figure
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 _DARK_SECOND = "#9c5300"  # for words, which are thinner than lines
 _SECOND_DASHES = (0, (4, 1.5))

@@ -17,7 +17,7 @@ from planeopt.reproduction.searches import Search, relative_misfit, searches, se
 from planeopt.solution import Solution
 from planeopt.solvers import Ipopt, Solver, Swift
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

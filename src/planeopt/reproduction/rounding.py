@@ -9,7 +9,7 @@ from planeopt import equations as eq
 from planeopt.closed_form import slope_jacobian
 from planeopt.formulations.identifiability import ten_jacobian
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 _STEP = 1e-30
 """Of the complex-step derivatives, which need no compromise: they are exact to rounding."""
@@ -59,7 +59,7 @@ def ellipse_by_points(B: Array, points: Array) -> Array:
 def constrained_by_ellipse(plane: Array, setup: eq.Setup, B: Array, points: Array) -> Array:
     """Derivative (3, 5) of `Constrained`'s ``(z_L, p, q)`` by ``B``: least squares weighted by Sigma_B^-1."""
     whitener = _distances(B, points)[0]
-    return np.linalg.pinv(whitener @ _ellipse_by_plane(plane, setup)) @ whitener
+    return np.asarray(np.linalg.pinv(whitener @ _ellipse_by_plane(plane, setup)) @ whitener, dtype=float)
 
 
 def closed_form_by_ellipse(setup: eq.Setup, B: Array) -> Array:
@@ -71,7 +71,7 @@ def penalty_by_ellipse(v: eq.PaperVariables, setup: eq.Setup, B: Array) -> Array
     """Derivative (4, 5) of the minimiser of (29) with ``J = 0``: unweighted least squares of all ten equations."""
     rows = np.asarray(ten_jacobian()(np.array(v), np.concatenate([setup, B])))
     # Only (17)-(21) hold B, each with the factor -1.
-    return np.linalg.pinv(rows)[:, len(eq.LASER_BLOCK) :]
+    return np.asarray(np.linalg.pinv(rows)[:, len(eq.LASER_BLOCK) :], dtype=float)
 
 
 def paper_by_slopes(plane: Array, r: float) -> Array:

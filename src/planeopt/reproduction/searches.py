@@ -16,7 +16,7 @@ from planeopt.reproduction.unguarded import Unguarded
 from planeopt.solution import Effort, Solution, Trace
 from planeopt.solvers import Ipopt
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 Which = Literal["the plane", "the second plane", "neither plane"]
 
 _NEAR = 1e-3

@@ -10,7 +10,7 @@ from planeopt.errors import InputError
 from planeopt.nlp import Nlp
 from planeopt.solution import Effort, KktCheck, Trace
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,16 @@ def too_many_equalities(nlp: Nlp) -> str | None:
         return None
     listed = ", ".join(f"({number})" for number in equalities)
     return f"{len(equalities)} hard equations ({listed}) for {n} unknowns: more equations than unknowns"
+
+
+def path_trace(nlp: Nlp, parameters: Array, path: Array, stage: NDArray[np.integer], *, keep: bool) -> Trace:
+    """Objective and largest violation along iterates (n, n_x), evaluated again; the iterates themselves if kept."""
+    if not len(path):
+        return NO_TRACE
+    f, g = nlp.model.values.map(len(path))(path.T, parameters)
+    rows, equalities = np.asarray(g), nlp.model.equalities[:, None]
+    violation = np.where(equalities, np.abs(rows), np.maximum(-rows, 0.0)).max(axis=0)
+    return Trace(np.asarray(f).ravel(), violation, stage, path if keep else None)
 
 
 NO_TRACE = Trace(np.empty(0), np.empty(0), np.empty(0, dtype=int))

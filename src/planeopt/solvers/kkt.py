@@ -16,7 +16,7 @@ from planeopt.plane import BETA_TOLERANCE
 from planeopt.ranks import independent_rows
 from planeopt.solution import FEASIBLE, RESOLUTION, KktCheck, Status
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 ACTIVE = 1e-4
 """An inequality or bound this close to its limit, in units of its scale, is taken to be active: an interior-point
@@ -116,7 +116,7 @@ def _check_and_step(nlp: Nlp, x: Array) -> tuple[KktCheck, Array | None]:
     if not np.isfinite(feasibility):
         return KktCheck(np.inf, np.inf, np.inf, minimum=False), None
     system = linearise(nlp, x)
-    step = _solve(system.kkt, -np.concatenate([system.gradient, system.misfit])[:, None])[: len(x), 0]
+    step = _solve(system.kkt, len(x), -np.concatenate([system.gradient, system.misfit])[:, None])[: len(x), 0]
     wrong = float(np.max(system.multipliers[system.n_equalities :], initial=0.0))
     dual = wrong / max(1.0, float(np.max(np.abs(system.multipliers), initial=0.0)))
     plane, by_unknowns = (np.asarray(value) for value in nlp.model.plane_and_jacobian(x, nlp.parameters))
@@ -125,7 +125,9 @@ def _check_and_step(nlp: Nlp, x: Array) -> tuple[KktCheck, Array | None]:
     length = float(np.max(np.abs(by_unknowns @ (step * nlp.x_scale)) / size))
     if not np.isfinite(length):
         return KktCheck(feasibility, np.inf, dual, minimum=False), None
-    return KktCheck(feasibility, length, dual, _is_minimum(system, len(x))), step
+    # Where the unknowns cannot express every plane (beta at alpha = 0), curvature along them says nothing of the plane.
+    minimum = _tilt_is_stuck(by_unknowns * nlp.x_scale) or _is_minimum(system, len(x))
+    return KktCheck(feasibility, length, dual, minimum), step
 
 
 def _is_minimum(system: System, n: int) -> bool:
@@ -137,9 +139,9 @@ def _is_minimum(system: System, n: int) -> bool:
     m = system.kkt.shape[0] - n
     if m == 0:
         # Without active constraints the matrix is the Hessian: pivots of a sparse factor tell its signs.
-        pivots = np.asarray(ca.ldl(_equilibrated(system.kkt)[0])[0]).ravel()
+        pivots = np.asarray(ca.ldl(_equilibrated(system.kkt, n)[0])[0]).ravel()
         return bool(np.all(pivots > -_FLAT * np.abs(pivots).max()))
-    eigenvalues = np.linalg.eigvalsh(np.asarray(_equilibrated(system.kkt)[0]))
+    eigenvalues = np.linalg.eigvalsh(np.asarray(_equilibrated(system.kkt, n)[0]))
     return int(np.sum(eigenvalues < -_FLAT * np.abs(eigenvalues).max())) <= m
 
 
@@ -171,15 +173,17 @@ def plane_covariance(nlp: Nlp, x: Array) -> Array | NoCovariance:
     if at_limit:
         return NoCovariance(Status.AT_BOUND, f"an inequality holds with equality there: {at_limit[0]}")
     by_unknowns = np.asarray(model.plane_and_jacobian(x, nlp.parameters)[1]) * nlp.x_scale
-    if _rows_depend(by_unknowns):
+    if _tilt_is_stuck(by_unknowns):
         reason = "the unknowns cannot express every change of the plane there (at alpha = 0 use slopes)"
         return NoCovariance(Status.NO_COVARIANCE, reason)
     load = np.zeros((system.kkt.shape[0], 3))
     load[:n] = by_unknowns.T
-    adjoint = _solve(system.kkt, load)
-    error = np.abs(np.asarray(system.kkt @ ca.DM(adjoint)) - load).max()
-    if not error <= 1e-6 * np.abs(load).max():
+    adjoint = _solve(system.kkt, n, load)
+    # One step of iterative refinement shows how many digits the factorisation had; a singular matrix leaves none.
+    correction = _solve(system.kkt, n, load - np.asarray(system.kkt @ ca.DM(adjoint)))
+    if not np.linalg.norm(correction) <= _FEW_DIGITS * np.linalg.norm(adjoint):
         return NoCovariance(Status.NO_COVARIANCE, "the KKT matrix is singular: the data do not fix every unknown here")
+    adjoint = adjoint + correction
     weights = adjoint[:n] * nlp.x_scale[:, None]
     by_rows = np.zeros((len(model.rows), 3))
     by_rows[system.rows] = adjoint[n : n + len(system.rows)]
@@ -194,10 +198,23 @@ def plane_covariance(nlp: Nlp, x: Array) -> Array | NoCovariance:
     return (covariance + covariance.T) / 2
 
 
-def _rows_depend(matrix: Array) -> bool:
-    """Whether some combination of the rows, at unit length, nearly vanishes, as where beta means nothing."""
-    unit = matrix / np.linalg.norm(matrix, axis=1)[:, None]
-    return bool(np.linalg.svd(unit, compute_uv=False)[-1] < BETA_TOLERANCE)
+_FEW_DIGITS = 1e-3
+"""Largest relative correction of a covariance's factor: three digits are enough for a standard deviation."""
+
+
+def _tilt_is_stuck(plane_by_unknowns: Array) -> bool:
+    """Whether some change of the slopes is out of the unknowns' reach, to the tolerance where beta means nothing."""
+    reach = np.linalg.svd(plane_by_unknowns[1:], compute_uv=False)
+    return bool(reach[1] < BETA_TOLERANCE * reach[0])
+
+
+def _independent(active: Array) -> NDArray[np.integer]:
+    """Which active constraints say something of their own, unknowns scaled to comparable effect.
+
+    At a noise of a billionth the pose's columns are 1e7 times the slacks', by which alone the image rows differ.
+    """
+    effect = np.max(np.abs(active), axis=0, initial=0.0)
+    return independent_rows(active / np.where(effect > 0, effect, 1.0), DEPENDENT)
 
 
 def _positive_definite(covariance: Array) -> bool:
@@ -234,7 +251,7 @@ def linearise(nlp: Nlp, x: Array) -> System:
     multipliers = np.zeros(len(model.rows))
     multipliers[rows] = solved[: len(rows)]
     hessian = model.hessian(x, nlp.parameters, multipliers)
-    kept = independent_rows(dense, DEPENDENT)
+    kept = _independent(dense)
     kept_rows = rows[kept[kept < len(rows)]]
     active = active[kept.tolist(), :]
     kkt = ca.blockcat([[scaling @ hessian @ scaling, active.T], [active, ca.DM(len(kept), len(kept))]])
@@ -257,26 +274,37 @@ def _multipliers(active: Array, gradient: Array, n_equalities: int) -> Array:
     """
     if not len(active):
         return np.zeros(0)
-    solved = np.linalg.lstsq(active.T, -gradient, rcond=None)[0]
-    if len(independent_rows(active, DEPENDENT)) == len(active) or np.all(solved[n_equalities:] <= 0):
+    solved = np.asarray(np.linalg.lstsq(active.T, -gradient, rcond=None)[0], dtype=float)
+    if len(_independent(active)) == len(active) or np.all(solved[n_equalities:] <= 0):
         return solved
     upper = np.full(len(active), np.inf)
     upper[n_equalities:] = 0.0
     return scipy.optimize.lsq_linear(active.T, -gradient, bounds=(-np.inf, upper), method="bvls", tol=1e-14).x
 
 
-def _equilibrated(kkt: ca.DM) -> tuple[ca.DM, Array]:
-    """``D K D`` and the diagonal of ``D``, by which every row's largest entry is brought near 1."""
-    size = np.zeros(kkt.shape[0])
-    np.maximum.at(size, kkt.row(), np.abs(kkt.nonzeros()))
-    unit = 1 / np.sqrt(np.where(size > 0, size, 1.0))
+def _equilibrated(kkt: ca.DM, n: int) -> tuple[ca.DM, Array]:
+    """``D K D`` and the diagonal of ``D``: the ``n`` unknowns in units of their effect, the constraints at length 1.
+
+    An unknown's effect is its largest entry in a constraint, or the root of its curvature. That keeps what the noise of
+    a nearly exact case spreads over seven decades; dividing by the largest entry of a row would lose half of them.
+    """
+    rows, columns = np.array(kkt.row()), np.array(kkt.sparsity().get_col())
+    values = np.abs(kkt.nonzeros())
+    effect = np.zeros(kkt.shape[0])
+    own, coupling = (rows == columns) & (rows < n), (rows >= n) & (columns < n)
+    effect[rows[own]] = np.sqrt(values[own])
+    np.maximum.at(effect, columns[coupling], values[coupling])
+    unit = 1 / np.where(effect > 0, effect, 1.0)
+    length = np.zeros(kkt.shape[0])
+    np.maximum.at(length, rows[coupling], values[coupling] * unit[columns[coupling]])
+    unit[n:] = 1 / np.where(length[n:] > 0, length[n:], 1.0)
     scaling = ca.diag(ca.DM(unit))
     return scaling @ kkt @ scaling, unit
 
 
-def _solve(kkt: ca.DM, load: Array) -> Array:
+def _solve(kkt: ca.DM, n: int, load: Array) -> Array:
     """Solve with the KKT matrix, equilibrated; the shortest least-squares solution where it is singular."""
-    scaled, unit = _equilibrated(kkt)
+    scaled, unit = _equilibrated(kkt, n)
     right = load * unit[:, None]
     try:
         solution = np.asarray(ca.solve(scaled, ca.DM(right), "csparse"))

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from planeopt.nlp import Model, Nlp
 from planeopt.solution import Effort, Trace
 from planeopt.solvers import kkt
-from planeopt.solvers.base import NO_TRACE, Found, too_many_equalities
+from planeopt.solvers.base import NO_TRACE, Found, path_trace, too_many_equalities
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 Options = tuple[tuple[str, Any], ...]
 
 _log = logging.getLogger(__name__)
@@ -100,7 +100,8 @@ def _run(nlp: Nlp, plugin: str, options: Options, *, record: bool) -> Found:
         x = end if np.isfinite(end).all() else x
         reports.append(str(stats["return_status"]))
         effort += _effort(stats, spent)
-        traces.append(_trace(stats, stage, recorder.iterates[seen:] if recorder else None))
+        iterates = recorder.iterates[seen:] if recorder else None
+        traces.append(_trace(nlp, parameters, stats, stage, iterates))
         _log.debug("%s %s stage %d: %s", plugin, nlp.model.name, stage, reports[-1])
     begun = time.perf_counter()
     x, found, steps = kkt.polish(nlp, x)
@@ -118,19 +119,14 @@ def _effort(stats: dict[str, Any], seconds: float) -> Effort:
     return Effort(int(stats.get("iter_count", 0)), values, derivatives, 0.0, seconds)
 
 
-def _trace(stats: dict[str, Any], stage: int, iterates: list[Array] | None) -> Trace:
+def _trace(nlp: Nlp, parameters: Array, stats: dict[str, Any], stage: int, iterates: list[Array] | None) -> Trace:
+    """What the plug-in reports of its iterations; where the iterates were recorded, evaluated again from them."""
+    if iterates is not None:
+        return path_trace(nlp, parameters, np.array(iterates), np.full(len(iterates), stage), keep=True)
     iterations = stats.get("iterations", {})
     objective = np.asarray(iterations.get("obj", []), dtype=float)
     infeasibility = np.asarray(iterations.get("inf_pr", []), dtype=float)
-    n = len(iterates) if iterates is not None else len(objective)
-    return Trace(
-        _fitted(objective, n), _fitted(infeasibility, n), np.full(n, stage), np.array(iterates) if iterates else None
-    )
-
-
-def _fitted(values: Array, n: int) -> Array:
-    """The first ``n`` values; NaN where the plug-in reports fewer."""
-    return np.concatenate([values[:n], np.full(max(n - len(values), 0), np.nan)])
+    return Trace(objective, infeasibility, np.full(len(objective), stage))
 
 
 def _joined(traces: list[Trace]) -> Trace:

@@ -12,7 +12,8 @@ class Sqp:
     """CasADi's ``sqpmethod`` with the sparse active-set solver ``qrqp`` and exact Hessians.
 
     From the closed form it takes two to four steps. The Hessians are left as they are: made convex, they cost it its
-    quadratic convergence (60 steps and more), and from far away it may fail instead, which is then reported.
+    quadratic convergence (60 steps and more). From far away, or with data that contradict the rig, it may fail instead,
+    which is then reported.
 
     Parameters
     ----------
@@ -25,7 +26,7 @@ class Sqp:
     """
 
     tol: float = 1e-8
-    max_iter: int = 100
+    max_iter: int = 50
     record: bool = False
 
     def __post_init__(self) -> None:

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from planeopt.errors import InputError
 from planeopt.nlp import Nlp
 from planeopt.solution import Effort, Trace
-from planeopt.solvers.base import NO_TRACE, Found, check_limits
+from planeopt.solvers.base import Found, check_limits, path_trace
 from planeopt.solvers.kkt import check
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -89,18 +89,12 @@ class Swift:
             )
             scaled = result.x
             reports.append("converged" if result.success else "evaluations used up")
-            effort += Effort(int(result.nit), int(result.nfev), 0, 0.0, time.perf_counter() - begun)
+            effort += Effort(len(path), int(result.nfev), 0, 0.0, time.perf_counter() - begun)
             paths.append(np.array(path).reshape(-1, len(scaled)) * nlp.x_scale)
         solved, x = nlp.penalised(self.weights[-1]), scaled * nlp.x_scale
         return Found(solved, x, ", ".join(reports), check(solved, x), effort, self._trace(nlp, paths))
 
     def _trace(self, nlp: Nlp, paths: list[Array]) -> Trace:
         """Best vertex of every iteration; objective and largest violation as the unpenalised programme has them."""
-        iterates = np.concatenate(paths)
-        if not len(iterates):
-            return NO_TRACE
         stage = np.repeat(np.arange(len(paths)), [len(path) for path in paths])
-        f, g = nlp.model.values.map(len(iterates))(iterates.T, nlp.parameters)
-        rows, equalities = np.asarray(g), nlp.model.equalities[:, None]
-        violation = np.where(equalities, np.abs(rows), np.maximum(-rows, 0.0)).max(axis=0)
-        return Trace(np.asarray(f).ravel(), violation, stage, iterates if self.record else None)
+        return path_trace(nlp, nlp.parameters, np.concatenate(paths), stage, keep=self.record)
