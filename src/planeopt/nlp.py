@@ -135,6 +135,9 @@ class Nlp:
         What a row's value of 1 means in its equation's unit.
     data_factor : (n_data, m), dense or sparse
         ``S`` with ``S S'`` the covariance of the measured parameters.
+    decoupling : (m, m) or None
+        What makes the first ``m`` rows, whose noise is correlated, independent and of unit noise: applied before
+        anything is solved with their gradients, which may differ in the eighth digit only.
     """
 
     model: Model
@@ -145,6 +148,7 @@ class Nlp:
     x_scale: Array
     row_scale: Array
     data_factor: Array | scipy.sparse.csr_array
+    decoupling: Array | None = None
 
     @property
     def parameters(self) -> Array:

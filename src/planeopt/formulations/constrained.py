@@ -61,6 +61,7 @@ class Constrained:
             np.concatenate([scale, np.ones(5)]),
             np.concatenate([sigma_B, [beam_scale, beam_scale, r]]),
             problem.B_factor,
+            np.asarray(np.linalg.solve(problem.B_factor, np.diag(sigma_B)), dtype=float),
         )
 
 

@@ -44,6 +44,8 @@ class System:
         Of all active constraints, dependent ones included.
     rows : (m_rows,) of int
         Which rows of the model the first of the active constraints are; the rest are bounds.
+    kept : (m,) of int
+        Which of the active constraints entered the system: a largest independent set.
     n_equalities : int
     row_multipliers : (n_rows,)
         Of the model's rows, zero where not active.
@@ -54,6 +56,7 @@ class System:
     misfit: Array
     multipliers: Array
     rows: NDArray[np.integer]
+    kept: NDArray[np.integer]
     n_equalities: int
     row_multipliers: Array
 
@@ -185,8 +188,9 @@ def plane_covariance(nlp: Nlp, x: Array) -> Array | NoCovariance:
         return NoCovariance(Status.NO_COVARIANCE, "the KKT matrix is singular: the data do not fix every unknown here")
     adjoint = adjoint + correction
     weights = adjoint[:n] * nlp.x_scale[:, None]
-    by_rows = np.zeros((len(model.rows), 3))
-    by_rows[system.rows] = adjoint[n : n + len(system.rows)]
+    of_active = np.zeros((len(system.multipliers), 3))
+    of_active[system.kept] = adjoint[n:]
+    by_rows = _of_rows(nlp, system.rows, of_active[: len(system.rows)])
     by_data = [
         np.asarray(model.data_adjoint(x, nlp.parameters, system.row_multipliers, weights[:, i], by_rows[:, i])).ravel()
         for i in range(3)
@@ -245,28 +249,32 @@ def linearise(nlp: Nlp, x: Array) -> System:
     )
     inside = (x - nlp.lower)[at_lower] / scale[at_lower], (nlp.upper - x)[at_upper] / scale[at_upper]
     misfit = np.concatenate([values[rows], *inside])
+    if nlp.decoupling is not None:
+        m = len(nlp.decoupling)
+        active = ca.vertcat(ca.DM(nlp.decoupling) @ active[:m, :], active[m:, :])
+        misfit[:m] = nlp.decoupling @ misfit[:m]
     slope = np.asarray(gradient).ravel() * scale
     dense = np.asarray(active)
-    solved = _multipliers(dense, slope, len(equalities))
-    multipliers = np.zeros(len(model.rows))
-    multipliers[rows] = solved[: len(rows)]
-    hessian = model.hessian(x, nlp.parameters, multipliers)
     kept = _independent(dense)
-    kept_rows = rows[kept[kept < len(rows)]]
+    solved = _multipliers(dense, slope, len(equalities), unique=len(kept) == len(dense))
+    multipliers = _of_rows(nlp, rows, solved[: len(rows), None])[:, 0]
+    hessian = model.hessian(x, nlp.parameters, multipliers)
     active = active[kept.tolist(), :]
     kkt = ca.blockcat([[scaling @ hessian @ scaling, active.T], [active, ca.DM(len(kept), len(kept))]])
-    return System(
-        kkt,
-        slope + solved @ dense,
-        misfit[kept],
-        solved,
-        kept_rows,
-        len(equalities),
-        multipliers,
-    )
+    return System(kkt, slope + solved @ dense, misfit[kept], solved, rows, kept, len(equalities), multipliers)
 
 
-def _multipliers(active: Array, gradient: Array, n_equalities: int) -> Array:
+def _of_rows(nlp: Nlp, rows: NDArray[np.integer], values: Array) -> Array:
+    """Multipliers of the active rows (m, k) as they enter the system, as those of all the model's rows (n_rows, k)."""
+    spread = np.zeros((len(nlp.model.rows), values.shape[1]))
+    spread[rows] = values
+    if nlp.decoupling is not None:
+        m = len(nlp.decoupling)
+        spread[rows[:m]] = nlp.decoupling.T @ values[:m]
+    return spread
+
+
+def _multipliers(active: Array, gradient: Array, n_equalities: int, *, unique: bool) -> Array:
     """Least-squares multipliers of ``gradient + A' lambda = 0``.
 
     Where active constraints depend on each other the multipliers are not unique: then those with the right signs (not
@@ -275,7 +283,7 @@ def _multipliers(active: Array, gradient: Array, n_equalities: int) -> Array:
     if not len(active):
         return np.zeros(0)
     solved = np.asarray(np.linalg.lstsq(active.T, -gradient, rcond=None)[0], dtype=float)
-    if len(_independent(active)) == len(active) or np.all(solved[n_equalities:] <= 0):
+    if unique or np.all(solved[n_equalities:] <= 0):
         return solved
     upper = np.full(len(active), np.inf)
     upper[n_equalities:] = 0.0
