@@ -28,6 +28,10 @@ class Status(Enum):
     INFEASIBLE = "The solver stopped where the constraints do not hold."
     NOT_CONVERGED = "The solver stopped before it reached a minimum."
     AT_BOUND = "The solution lies on the edge of what can be seen, where the plane is not determined from both sides."
+    LOCAL_MINIMUM = (
+        "The search ended at a local minimum: the plane is farther from the one that the image favours than its own "
+        "covariance allows."
+    )
     NO_COVARIANCE = "The plane was found, but no covariance can be given."
 
     @property

@@ -12,7 +12,7 @@ from planeopt import equations as eq
 from planeopt.closed_form import other_plane
 from planeopt.estimation.rig_part import Sensitivity
 from planeopt.formulations.problem import Problem
-from planeopt.formulations.snooping import detectability, image_misfit, space_left_by_plane
+from planeopt.formulations.snooping import detectability, image_misfit, space_left_by_plane, whitened_by_plane
 from planeopt.plane import Plane, SpotPose
 from planeopt.solution import OtherPlane, Residual, Uncertainty
 
@@ -115,6 +115,22 @@ def residuals(problem: Problem, plane: Array) -> tuple[Residual, ...]:
         Residual(f"({e.number})", e.name, str(e.block), e.unit, float(value), size)
         for e, value, size in zip(eq.TEN, values, sigmas, strict=True)
     )
+
+
+def excess(problem: Problem, plane: Array, covariance: Array) -> float:
+    """Squared distance of a plane from the efficient one, in its own standard deviations (a Hausman test).
+
+    The efficient plane is one Gauss-Newton step on the whitened image block away. An inefficient formulation's plane
+    differs from it by no more than its own covariance allows: the statistic is at most chi-squared with 3 degrees of
+    freedom, unless the search ended at a local minimum, of which the misfit that no plane explains says nothing.
+    """
+    whitened = np.linalg.solve(problem.B_factor, image_misfit(problem, plane))
+    step = np.linalg.lstsq(whitened_by_plane(problem, plane), -whitened, rcond=None)[0]
+    return float(step @ np.linalg.solve(covariance, step))
+
+
+EXCESS = float(scipy.stats.chi2.isf(IMPROBABLE, 3))
+"""What `excess` of a right answer hardly ever reaches."""
 
 
 def pose_and_plane(problem: Problem, plane: Array) -> tuple[SpotPose, Plane]:

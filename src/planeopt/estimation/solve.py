@@ -105,6 +105,7 @@ def _failed(solution: Solution) -> bool:
         Status.AT_BOUND,
         Status.NO_COVARIANCE,
         Status.UNIDENTIFIABLE,
+        Status.LOCAL_MINIMUM,
     )
 
 
@@ -201,6 +202,9 @@ def _judged(solution: Solution, problem: Problem, plane: Array, covariance: Arra
         other_plane=evidence.second_plane(problem, plane),
         residuals=evidence.residuals(problem, plane),
     )
+    judged_by_distance = not (isinstance(covariance, NoCovariance) or fit.improbable)
+    if judged_by_distance and evidence.excess(problem, plane, np.asarray(covariance)) > evidence.EXCESS:
+        return _refused(solution, Status.LOCAL_MINIMUM, Status.LOCAL_MINIMUM.value)
     status, message = _verdict(problem, judged, plane, fit, missing)
     return replace(judged, status=status, message=message, flags=(*judged.flags, *_reservations(problem, judged, fit)))
 

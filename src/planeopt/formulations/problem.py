@@ -101,7 +101,8 @@ class Problem:
         InputError
             If the points determine no ellipse.
         """
-        xy = np.asarray(points, dtype=float)
+        _check_setup(setup)
+        xy = _numbers("boundary points", points)
         known = scale_known and noise is not None
         if xy.ndim != 2 or xy.shape[1] != 2 or not np.isfinite(xy).all():
             raise InputError(f"boundary points must be finite and of shape (N, 2), mm, not of shape {xy.shape}")
@@ -140,7 +141,8 @@ class Problem:
         InputError
             If ``B`` is not finite or the covariance is not positive definite.
         """
-        coefficients, sigma = np.asarray(B, dtype=float), np.asarray(covariance, dtype=float)
+        _check_setup(setup)
+        coefficients, sigma = _numbers("B", B), _numbers("the covariance of B", covariance)
         if coefficients.shape != (5,) or sigma.shape != (5, 5):
             raise InputError(f"B must be (5,) and its covariance (5, 5), not {coefficients.shape} and {sigma.shape}")
         if not (np.isfinite(coefficients).all() and np.isfinite(sigma).all()):
@@ -179,9 +181,23 @@ class Problem:
         return np.array([1.0, 1.0, length, length, length**2])
 
 
+def _numbers(what: str, values: ArrayLike) -> Array:
+    try:
+        return np.asarray(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{what} must be numbers, not {type(values).__name__} of something else") from error
+
+
+def _check_setup(setup: Setup) -> None:
+    """Refuse a setup that is no camera and beam."""
+    values = _numbers("the setup (f, e_x, e_y, r)", setup)
+    if values.shape != (4,) or not np.isfinite(values).all() or values[0] <= 0 or values[3] <= 0:
+        raise InputError(f"the setup needs finite f > 0, e_x, e_y and r > 0 in mm, not {tuple(values.tolist())}")
+
+
 def _covariances(n: int, noise: ArrayLike) -> Array:
     """Covariances (n, 2, 2) from a sigma for all, a sigma for each, or covariances."""
-    given = np.asarray(noise, dtype=float)
+    given = _numbers("noise", noise)
     if given.shape not in ((), (n,), (n, 2, 2)):
         raise InputError(f"noise must be one sigma, {n} sigmas or {n} 2x2 covariances (mm), not of shape {given.shape}")
     usable = np.isfinite(given).all() and (given.ndim == 3 or (given > 0).all())

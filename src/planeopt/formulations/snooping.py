@@ -53,8 +53,13 @@ def explained_without(problem: Problem, plane: Array, level: float) -> tuple[eq.
 
 def space_left_by_plane(problem: Problem, plane: Array) -> Array:
     """Orthonormal basis (2, 5) of the whitened misfits of B that no change of the plane makes: the self-test."""
-    R = problem.setup.r * np.sqrt(1 + plane[1] ** 2 + plane[2] ** 2)
-    rows = independent_jacobian()(np.array([R, *plane]), np.concatenate([problem.setup, problem.B]))
-    whitened = np.linalg.solve(problem.B_factor, np.asarray(rows)[1:, 1:])
+    whitened = whitened_by_plane(problem, plane)
     basis = np.linalg.qr(whitened / np.linalg.norm(whitened, axis=0), mode="complete")[0]
     return basis[:, 3:].T
+
+
+def whitened_by_plane(problem: Problem, plane: Array) -> Array:
+    """Derivative (5, 3) of the image block, in standard deviations of B, by ``(z_L, p, q)``."""
+    R = problem.setup.r * np.sqrt(1 + plane[1] ** 2 + plane[2] ** 2)
+    rows = independent_jacobian()(np.array([R, *plane]), np.concatenate([problem.setup, problem.B]))
+    return np.asarray(np.linalg.solve(problem.B_factor, np.asarray(rows)[1:, 1:]), dtype=float)

@@ -75,6 +75,8 @@ def _check_and_step(nlp: Nlp, x: Array) -> tuple[KktCheck, Array | None]:
     if not np.isfinite(feasibility):
         return KktCheck(np.inf, np.inf, np.inf, minimum=False), None
     system = linearise(nlp, x)
+    if system is None:
+        return KktCheck(feasibility, np.inf, np.inf, minimum=False), None
     step = system.solve(-np.concatenate([system.gradient, system.misfit])[:, None])[: len(x), 0]
     wrong = float(np.max(system.multipliers[system.n_equalities :], initial=0.0))
     dual = wrong / max(1.0, float(np.max(np.abs(system.multipliers), initial=0.0)))
@@ -105,6 +107,8 @@ def plane_covariance(nlp: Nlp, x: Array) -> Array | NoCovariance:
     """
     model, n = nlp.model, len(x)
     system = linearise(nlp, x)
+    if system is None:
+        return NoCovariance(Status.NO_COVARIANCE, "a derivative is not finite there")
     at_limit = [model.rows[i].equation.name for i in system.rows if not model.rows[i].equality]
     # Unknowns bounded on both sides are the pose's; a slack of an L1 programme belongs on its only bound.
     physical = np.isfinite(nlp.lower) & np.isfinite(nlp.upper)

@@ -97,14 +97,18 @@ class Linearised:
         return bool(np.all(pivots > -FLAT * np.abs(pivots).max()))
 
 
-def linearise(nlp: Nlp, x: Array) -> Linearised:
-    """The KKT conditions at ``x``; an inequality or bound is active within `ACTIVE` of its limit.
+def linearise(nlp: Nlp, x: Array) -> Linearised | None:
+    """The KKT conditions at ``x``, or None where a derivative is not finite.
+
+    An inequality or bound is active within `ACTIVE` of its limit.
 
     Of active constraints that say the same thing (the five laser equations of an L1 vertex) only independent ones enter
     the system; the multipliers are those of all.
     """
     model, scale, n = nlp.model, nlp.x_scale, len(x)
     _, gradient, g, jacobian = (np.asarray(value) for value in model.first_order(x, nlp.parameters))
+    if not (np.isfinite(gradient).all() and np.isfinite(jacobian).all()):
+        return None
     values = g.ravel()
     equalities = np.flatnonzero(model.equalities)
     rows = np.concatenate([equalities, np.flatnonzero(~model.equalities & (values <= ACTIVE))])
@@ -123,6 +127,8 @@ def linearise(nlp: Nlp, x: Array) -> Linearised:
     multipliers = _multipliers(active, slope, len(equalities), unique=len(kept) == len(active))
     row_multipliers = of_rows(nlp, rows, multipliers[: len(rows), None])[:, 0]
     hessian = model.hessian(x, nlp.parameters, row_multipliers)
+    if not np.isfinite(hessian.nonzeros()).all():
+        return None
     matrix, unit = _assemble(hessian, scale, active[kept])
     return Linearised(
         matrix,
