@@ -11,7 +11,8 @@ from cases import WORKED, WORKED_SETUP, Array, boundary, circle, random_case, sl
 from planeopt import equations as eq
 from planeopt.errors import InputError
 from planeopt.estimation import solve, solve_problem
-from planeopt.formulations import AsPrinted, ClosedForm, Constrained, Problem, Reprojection
+from planeopt.formulations import AsPrinted, ClosedForm, Constrained, Elastic, LeastSquares, Problem, Reprojection
+from planeopt.formulations.snooping import detectability
 from planeopt.plane import SpotPose
 from planeopt.solution import Flag, SolveError, Status, sigmas
 from planeopt.solvers import Sqp
@@ -242,6 +243,37 @@ def test_an_ellipse_that_no_plane_explains_is_never_ok(problem: Problem) -> None
         assert solution.status.record in ("degraded", "refused")
         assert solution.message
     assert solve_problem(problem, formulation=ClosedForm()).ok
+
+
+def test_a_local_minimum_that_chi_squared_cannot_see_is_refused() -> None:
+    """On the beam's surface unweighted least squares can stop far away, where the left-over misfit is small by chance."""
+    rng = np.random.default_rng(0)
+    refused = 0
+    for _ in range(12):
+        case = random_case(rng, 100, "on the beam")
+        spot = Spot(case.pixels + 0.1 * rng.normal(size=case.pixels.shape), np.full(100, 0.1))
+        solution = solve(spot, case.rig, formulation=LeastSquares())
+        refused += solution.status is Status.LOCAL_MINIMUM
+        if solution.ok:
+            assert solution.pose is not None
+            assert solution.covariance is not None
+            error = np.array([solution.pose.z_L, *solution.pose.slopes]) - [case.pose.z_L, *case.pose.slopes]
+            # chi-squared with 3 degrees of freedom exceeds 40 once in a hundred million.
+            assert error @ np.linalg.solve(solution.covariance, error) < 40
+        assert solve(spot, case.rig).ok
+    assert refused
+
+
+def test_an_equation_is_accused_with_what_else_would_explain_it() -> None:
+    """In the worked example (17) and (19) point nearly alike: a small error in one can be told from neither."""
+    right = Problem.from_points(noisy(200), WORKED_SETUP, SIGMA)
+    B_3 = right.B + np.array([0, 0, 40 / detectability(right, slopes(WORKED))[2], 0, 0])
+    solution = solve_problem(replace(right, B=B_3), formulation=Elastic())
+    assert solution.status is Status.INCONSISTENT
+    assert "At fault: (1" in solution.message
+    assert "(17)" in solution.message
+    assert "(19)" in solution.message
+    assert "the rest would agree as well" in solution.message
 
 
 def test_weak_data_are_flagged() -> None:
