@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -318,29 +319,31 @@ def test_resume_refuses_what_it_cannot_continue(
 
 def test_remains_of_an_interrupted_run_are_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     out = tmp_path / "poses.jsonl"
-    partial = tmp_path / "poses.jsonl.part"
-    partial.write_bytes(b"hours of work\n")
+    part = tmp_path / "poses.jsonl.part"
+    part.write_bytes(b"hours of work\n")
     assert main(["pose", str(points_file(tmp_path)), *RIG, "-o", str(out)]) == 1
     one_complaint(capsys.readouterr().err, "--resume")
-    assert partial.read_bytes() == b"hours of work\n"
+    assert part.read_bytes() == b"hours of work\n"
 
 
 def test_interrupted_run_says_so_in_a_line_and_resumes_to_the_same_bytes(tmp_path: Path):
     # Enough work (half a second) that the signal, sent within milliseconds of the first record, finds it running.
     points = points_file(tmp_path)
     inputs, out, whole = [str(points)] * 150, tmp_path / "poses.jsonl", tmp_path / "whole.jsonl"
-    partial, quick = tmp_path / "poses.jsonl.part", [*RIG, "--formulation", "closed-form"]
+    part, quick = tmp_path / "poses.jsonl.part", [*RIG, "--formulation", "closed-form"]
     command = [sys.executable, "-m", "planeopt", "pose", *inputs, *quick, "-o", str(out)]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    # A test run started in the background of a shell inherits interrupts ignored; a user's command has them.
+    listen = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=listen)
     deadline = time.monotonic() + 60
-    while not (partial.exists() and partial.stat().st_size) and time.monotonic() < deadline:
+    while not (part.exists() and part.stat().st_size) and time.monotonic() < deadline:
         time.sleep(0.005)
     process.send_signal(signal.SIGINT)
     _, complaint = process.communicate(timeout=60)
     assert process.returncode == 130
     assert complaint == "planeopt: interrupted\n"
     assert not out.exists()
-    assert 0 < partial.read_bytes().count(b"\n") < len(inputs)
+    assert 0 < part.read_bytes().count(b"\n") < len(inputs)
     assert main([*command[3:], "--resume"]) == 0
     assert main(["pose", *inputs, *quick, "-o", str(whole)]) == 0
     assert out.read_bytes() == whole.read_bytes()
@@ -368,3 +371,22 @@ def test_result_can_be_read_under_a_plain_locale(tmp_path: Path):
     result = subprocess.run(command, env=environment, capture_output=True, check=False)
     assert result.returncode == 0, result.stderr
     assert json.loads(result.stdout)["status"] == "ok"
+
+
+def test_what_is_read_is_never_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    points = points_file(tmp_path)
+    content = points.read_bytes()
+    assert main(["pose", str(points), *RIG, "-o", str(points), "--force"]) == 1
+    one_complaint(capsys.readouterr().err, "is read in this run")
+    assert points.read_bytes() == content
+
+
+def test_records_of_another_formulation_are_not_continued(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    points, out = str(points_file(tmp_path)), tmp_path / "poses.jsonl"
+    assert main(["pose", points, points, *RIG, "-o", str(out)]) == 0
+    content = out.read_bytes()
+    capsys.readouterr()
+    assert main(["pose", points, points, *RIG, "-o", str(out), "--resume", "--formulation", "closed-form"]) == 1
+    one_complaint(capsys.readouterr().err, "Constrained, but ClosedForm was asked for")
+    assert out.read_bytes() == content
+    assert not (tmp_path / "poses.jsonl.part").exists()

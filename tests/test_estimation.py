@@ -11,7 +11,16 @@ from cases import WORKED, WORKED_SETUP, Array, boundary, circle, random_case, sl
 from planeopt import equations as eq
 from planeopt.errors import InputError
 from planeopt.estimation import solve, solve_problem
-from planeopt.formulations import AsPrinted, ClosedForm, Constrained, Elastic, LeastSquares, Problem, Reprojection
+from planeopt.formulations import (
+    AsPrinted,
+    ClosedForm,
+    Constrained,
+    Elastic,
+    LeastSquares,
+    Penalty,
+    Problem,
+    Reprojection,
+)
 from planeopt.formulations.snooping import detectability
 from planeopt.plane import SpotPose
 from planeopt.solution import Flag, SolveError, Status, sigmas
@@ -246,7 +255,7 @@ def test_an_ellipse_that_no_plane_explains_is_never_ok(problem: Problem) -> None
 
 
 def test_a_local_minimum_that_chi_squared_cannot_see_is_refused() -> None:
-    """On the beam's surface unweighted least squares can stop far away, where the left-over misfit is small by chance."""
+    """On the beam's surface unweighted least squares can stop far away, its left-over misfit small by chance."""
     rng = np.random.default_rng(0)
     refused = 0
     for _ in range(12):
@@ -274,6 +283,20 @@ def test_an_equation_is_accused_with_what_else_would_explain_it() -> None:
     assert "(17)" in solution.message
     assert "(19)" in solution.message
     assert "the rest would agree as well" in solution.message
+
+
+def test_an_inefficient_plane_is_not_taken_for_scattered_points() -> None:
+    """chi-squared of the points is that of the efficient plane, whoever found the one reported."""
+    short = Problem.from_points(noisy(120, arc=0.4), WORKED_SETUP, SIGMA)
+    best, rough = solve_problem(short), solve_problem(short, formulation=ClosedForm())
+    assert best.chi2_points is not None
+    assert rough.chi2_points == pytest.approx(best.chi2_points, rel=1e-2)
+    assert Flag.POINTS_SCATTER not in rough.flags
+
+
+def test_penalty_has_swift_for_its_usual_solver(problem: Problem) -> None:
+    solution = solve_problem(problem, formulation=Penalty())
+    assert (solution.solver, solution.status) == ("Swift", Status.CONVERGED)
 
 
 def test_weak_data_are_flagged() -> None:

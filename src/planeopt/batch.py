@@ -94,7 +94,7 @@ def measure(
         return Measurement(spot_not_found(name, reason))
     except InputError as error:
         return Measurement(input_error(name, _naming(path, str(error))))
-    except (ArithmeticError, np.linalg.LinAlgError, RuntimeError) as error:
+    except (ArithmeticError, ValueError, np.linalg.LinAlgError, RuntimeError) as error:
         # What numerical libraries raise where nobody foresaw it. In a batch it must not cost the other inputs.
         _log.debug("%s failed", name, exc_info=True)
         return Measurement(input_error(name, _naming(path, f"the computation broke down ({_one_line(error)})")))

@@ -157,8 +157,13 @@ class Nlp:
     def penalised(self, weight: float) -> "Nlp":
         """Only the last stage, with the equalities in the objective at a weight."""
         keep = ~self.model.equalities
-        parameters = np.append(self.parameters, weight)
-        return replace(self, model=self.model.penalised, stages=(parameters,), row_scale=self.row_scale[keep])
+        return replace(
+            self,
+            model=self.model.penalised,
+            stages=(np.append(self.parameters, weight),),
+            row_scale=self.row_scale[keep],
+            decoupling=None,
+        )
 
     @property
     def row_bounds(self) -> tuple[Array, Array]:

@@ -25,8 +25,6 @@ RecordStatus = Literal["ok", "degraded", "refused", "error"]
 
 Triple = tuple[float, float, float]
 
-_STATUSES: dict[str, RecordStatus] = {"ok": "ok", "degraded": "degraded", "refused": "refused"}
-
 
 class Intercepts(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Where the plane cuts the camera's axes, equation (1), mm; null where it is parallel to one."""
@@ -139,7 +137,7 @@ def from_solution(name: str, solution: Solution) -> PoseRecord:
         Of the input, as the user gave it.
     solution : Solution
     """
-    status = _STATUSES[solution.status.record]
+    status = solution.status.record
     cause = () if status == "ok" else (solution.status,)
     plane, pose = solution.plane, solution.pose
     slopes = (None, None) if pose is None else pose.slopes

@@ -6,6 +6,7 @@ as one line on standard error and exit status 1.
 
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 
 from cyclopts import App, CycloptsError
@@ -48,6 +49,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         Exit status: 0 ok; 1 something given cannot be used; 2 a pose is degraded or refused; 130 interrupted.
     """
+    if arguments is None:
+        # As a program: an overflow in an absurd input ends in a refusal, and a line of NumPy's source would not help.
+        warnings.simplefilter("ignore", RuntimeWarning)
     try:
         status = build_app()(arguments, exit_on_error=False, print_error=False, result_action="return_value")
         sys.stdout.flush()

@@ -4,7 +4,7 @@ import csv
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -64,7 +64,7 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 @contextmanager
 def record_file(
-    path: Path, inputs: Sequence[str], *, resume: bool, force: bool
+    path: Path, inputs: Sequence[str], formulation: str, *, resume: bool, force: bool
 ) -> Iterator[tuple[list["PoseRecord"], Callable[["PoseRecord"], None]]]:
     """Open a file of records, one a line, that can be continued after an interruption.
 
@@ -75,6 +75,9 @@ def record_file(
     path : Path
     inputs : sequence of str
         All inputs of the run, in order.
+    formulation : str
+        By which the run solves; records of another one are not continued. The rig is not in the records: that it is the
+        same is the user's to see to.
     resume : bool
         Keep the complete records that are there.
     force : bool
@@ -90,7 +93,8 @@ def record_file(
     Raises
     ------
     InputError
-        If the file cannot be written, exists without `resume` or `force`, or holds records of other inputs.
+        If the file cannot be written, exists without `resume` or `force`, or holds records of other inputs
+        or of another formulation.
     """
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name the file of records to write in it")
@@ -100,7 +104,7 @@ def record_file(
     kept: list[PoseRecord] = []
     content = b""
     if resume:
-        kept, content = _kept(partial if partial.exists() else path, inputs)
+        kept, content = _kept(partial if partial.exists() else path, inputs, formulation)
     elif not force and path.exists():
         raise InputError(f"{path}: exists already; --force overwrites it, --resume continues it")
     elif not force and partial.exists():
@@ -126,7 +130,16 @@ def record_file(
             partial.unlink()
 
 
-def _kept(path: Path, inputs: Sequence[str]) -> tuple[list["PoseRecord"], bytes]:
+def spare_what_is_read(output: Path, read: Iterable[str | Path]) -> None:
+    """Refuse to write over an input or the rig, or over what is no regular file, whatever was forced."""
+    target = output.resolve()
+    if any(Path(name).resolve() == target for name in read):
+        raise InputError(f"{output}: is read in this run; give the records a file of their own")
+    if target.exists() and not target.is_file() and not target.is_dir():
+        raise InputError(f"{output}: is not a regular file; leave -o out to write to standard output")
+
+
+def _kept(path: Path, inputs: Sequence[str], formulation: str) -> tuple[list["PoseRecord"], bytes]:
     """Return the complete records of a file, and the bytes they take; a last line that was cut off is left out."""
     from planeopt.record import record_from_json
 
@@ -149,5 +162,8 @@ def _kept(path: Path, inputs: Sequence[str]) -> tuple[list["PoseRecord"], bytes]
                 f"{path}, line {number}: is the record of {record.input!r}, not of {name!r}: --resume needs the same "
                 "inputs in the same order; see --force"
             )
+        if record.formulation not in (None, formulation):
+            asked = f"but {formulation} was asked for; see --force"
+            raise InputError(f"{path}, line {number}: is a record of {record.formulation}, {asked}")
         kept.append(record)
     return kept, b"".join(lines)

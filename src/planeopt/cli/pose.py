@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from planeopt.cli.files import record_file
+from planeopt.cli.files import record_file, spare_what_is_read
 from planeopt.cli.messages import exit_status, one_line
 from planeopt.cli.rigs import load_measuring_rig
 from planeopt.errors import InputError
@@ -63,7 +63,10 @@ def pose(
         raise InputError(f"--jobs must be at least 1, not {jobs}")
     method = method_named(formulation, solver)
     loaded = load_measuring_rig(rig)
-    with _sink(output, inputs, resume=resume, force=force) as (kept, write), processes(jobs) as executor:
+    if output is not None:
+        spare_what_is_read(output, (*inputs, rig))
+    records = _sink(output, inputs, method.formulation.name, resume=resume, force=force)
+    with records as (kept, write), processes(jobs) as executor:
         new = measure_many(
             inputs[len(kept) :], loaded, formulation=method.formulation, solver=method.solver, executor=executor
         )
@@ -115,10 +118,10 @@ def _say(console: "Console", message: str) -> None:
 
 @contextmanager
 def _sink(
-    output: Path | None, inputs: Sequence[str], *, resume: bool, force: bool
+    output: Path | None, inputs: Sequence[str], formulation: str, *, resume: bool, force: bool
 ) -> Iterator[tuple[list["PoseRecord"], Callable[["PoseRecord"], None]]]:
     if output is not None:
-        with record_file(output, inputs, resume=resume, force=force) as opened:
+        with record_file(output, inputs, formulation, resume=resume, force=force) as opened:
             yield opened
         return
     if resume:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from planeopt import equations as eq
 from planeopt.closed_form import other_plane
+from planeopt.conic import sampson_distances
 from planeopt.estimation.rig_part import Sensitivity
 from planeopt.formulations.problem import Problem
 from planeopt.formulations.snooping import detectability, image_misfit, space_left_by_plane, whitened_by_plane
@@ -81,27 +82,30 @@ def fit_quality(problem: Problem, plane: Array, effect: Sensitivity | None) -> F
     )
     if problem.points is None or problem.scale_dof is not None:
         return Fit(chi2, p_value, None, None)
-    b = eq.image_conic_in_slopes(np, slope_variables(plane, problem.setup), problem.setup)
-    distances = _whitened_distances(problem, np.array(b[1:]) / b[0])[0]
+    # An inefficient plane's own error is in its points' distances too: only at the efficient one is their law known.
+    nearest = plane + _step_to_efficient(problem, plane)
+    b = eq.image_conic_in_slopes(np, slope_variables(nearest, problem.setup), problem.setup)
+    distances = sampson_distances(np.array(b[1:]) / b[0], problem.points, problem.noise)
     return Fit(chi2, p_value, float(distances @ distances), problem.n_points - 3)
 
 
 def _B_by_rig(problem: Problem, plane: Array, effect: Sensitivity) -> Array:
     """Changes of B (5, n) that move the points' distances as the rig's parameters do, by least squares."""
     b = eq.image_conic_in_slopes(np, slope_variables(plane, problem.setup), problem.setup)
-    by_B = _whitened_distances(problem, np.array(b[1:]) / b[0])[1]
+    by_B = _by_ellipse(problem, np.array(b[1:]) / b[0])
     size = np.linalg.norm(by_B, axis=0)
     return np.linalg.lstsq(by_B / size, effect.residual_by_rig, rcond=None)[0] / size[:, None]
 
 
-def _whitened_distances(problem: Problem, ellipse: Array) -> tuple[Array, Array]:
-    """Sampson distances (N,) over their noise, and their derivative (N, 5) by the coefficients of (16)."""
+def _by_ellipse(problem: Problem, ellipse: Array) -> Array:
+    """Derivative (N, 5) of the whitened Sampson distances by the coefficients of (16), for points on the ellipse.
+
+    Off it the denominator changes too; for the small misfits of a test that is of second order.
+    """
     x, y = np.asarray(problem.points).T
-    noise = np.asarray(problem.noise)
     gradient = np.stack([2 * x + ellipse[0] * y + ellipse[2], ellipse[0] * x + 2 * ellipse[1] * y + ellipse[3]], axis=1)
-    height = np.sqrt(np.einsum("ni,nij,nj->n", gradient, noise, gradient))
-    monomials = np.stack([x * y, y * y, x, y, np.ones_like(x)], axis=1)
-    return eq.eq16(np, ellipse, x, y) / height, monomials / height[:, None]
+    height = np.sqrt(np.einsum("ni,nij,nj->n", gradient, np.asarray(problem.noise), gradient))
+    return np.stack([x * y, y * y, x, y, np.ones_like(x)], axis=1) / height[:, None]
 
 
 def residuals(problem: Problem, plane: Array) -> tuple[Residual, ...]:
@@ -124,9 +128,14 @@ def excess(problem: Problem, plane: Array, covariance: Array) -> float:
     differs from it by no more than its own covariance allows: the statistic is at most chi-squared with 3 degrees of
     freedom, unless the search ended at a local minimum, of which the misfit that no plane explains says nothing.
     """
-    whitened = np.linalg.solve(problem.B_factor, image_misfit(problem, plane))
-    step = np.linalg.lstsq(whitened_by_plane(problem, plane), -whitened, rcond=None)[0]
+    step = _step_to_efficient(problem, plane)
     return float(step @ np.linalg.solve(covariance, step))
+
+
+def _step_to_efficient(problem: Problem, plane: Array) -> Array:
+    """The Gauss-Newton step (3,) on the whitened image block."""
+    whitened = np.linalg.solve(problem.B_factor, image_misfit(problem, plane))
+    return np.asarray(np.linalg.lstsq(whitened_by_plane(problem, plane), -whitened, rcond=None)[0], dtype=float)
 
 
 EXCESS = float(scipy.stats.chi2.isf(IMPROBABLE, 3))

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from planeopt import equations as eq
 from planeopt.formulations.problem import Problem
-from planeopt.rig import Rig, distort, rotation_to_axis
+from planeopt.rig import BEAM_PARAMETERS, CAMERA_PARAMETERS, Rig, distort, rotation_to_axis
 
 Array = NDArray[np.float64]
 
-CAMERA = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-BEAM = ("e_x", "e_y", "radius", "direction_x", "direction_y")
-PARAMETERS = CAMERA + BEAM
+CAMERA = tuple(name for name in CAMERA_PARAMETERS if name != "f")
+PARAMETERS = CAMERA + BEAM_PARAMETERS
+"""Every number of a rig; ``f`` is fx and fy together."""
 
 
 @dataclass(frozen=True)
@@ -24,17 +24,15 @@ class Sensitivity:
 
     Attributes
     ----------
-    residual_by_plane : (N, 3)
-        Whitened distances of the points from the plane's ellipse, by ``(z_L, p, q)`` of the laser-parallel frame.
     residual_by_rig : (N, n)
-        The same by the free parameters of the rig's covariance, the raw pixels held fixed.
+        Whitened distances of the points from the plane's ellipse, by the free parameters of the rig's covariance, the
+        raw pixels held fixed.
     plane_by_rig : (3, n)
         ``(z_L, p, q)`` with ``z_L`` along the beam.
     normal_by_rig : (3, n)
         Unit normal in the camera frame.
     """
 
-    residual_by_plane: Array
     residual_by_rig: Array
     plane_by_rig: Array
     normal_by_rig: Array
@@ -74,7 +72,7 @@ def sensitivity(problem: Problem, rig: Rig, plane: Array) -> Sensitivity:
     shift_by_rig, normal_by_plane, normal_by_rig = (np.asarray(m) for m in _outputs()(plane, nominal))
     along_beam = step.copy()
     along_beam[0] -= (shift_by_rig @ choice)[0]
-    return Sensitivity(by_plane, by_rig, along_beam, normal_by_plane @ step + normal_by_rig @ choice)
+    return Sensitivity(by_rig, along_beam, normal_by_plane @ step + normal_by_rig @ choice)
 
 
 def _choice(names: tuple[str, ...]) -> Array:
@@ -104,7 +102,7 @@ def _point_rows() -> ca.Function:
     x, noise, eta, plane, f = (
         ca.SX.sym("x", 2),
         ca.SX.sym("noise", 3),
-        ca.SX.sym("eta", 14),
+        ca.SX.sym("eta", len(PARAMETERS)),
         ca.SX.sym("plane", 3),
         ca.SX.sym("f"),
     )

@@ -9,18 +9,28 @@ from numpy.typing import NDArray
 from planeopt import equations as eq
 from planeopt.estimation import evidence, starts
 from planeopt.estimation.rig_part import sensitivity
-from planeopt.formulations import Constrained, DirectAnswer, Elastic, Formulation, Problem, Refusal, Start, identify
+from planeopt.formulations import (
+    Constrained,
+    DirectAnswer,
+    Elastic,
+    Formulation,
+    Penalty,
+    Problem,
+    Refusal,
+    Start,
+    identify,
+)
 from planeopt.formulations.snooping import explained_without
 from planeopt.rig import Rig
 from planeopt.solution import RESOLUTION, Flag, Identifiability, KktCheck, Solution, SolveError, Status
-from planeopt.solvers import Found, Ipopt, Solver
+from planeopt.solvers import Found, Ipopt, Solver, Swift
 from planeopt.solvers.kkt import NoCovariance, plane_covariance
 from planeopt.spot import Spot
 
 Array = NDArray[np.float64]
 
-# model.md: beyond these the first-order intervals were measured to be too short, R, alpha and beta earlier than the
-# slopes.
+# Beyond these a first-order interval is too short: the image's dependence on the slopes is no longer linear over a
+# standard deviation (docs/model.md, section 9); R, alpha and beta leave the linear regime earlier than the slopes.
 WEAK_SLOPE_SIGMA = 0.2
 NONLINEAR_ANGLE_SHARE = 0.1
 SHORT_ARC = 1 / 3
@@ -47,11 +57,13 @@ def solve(
     formulation : Formulation, optional
         `Constrained()` unless given.
     solver : Solver, optional
-        `Ipopt()` unless given; not used by direct formulations.
+        Unless given, `Swift()` for `Penalty`, whose many equalities it penalises, and `Ipopt()` for all others; not
+        used by direct formulations.
     start : SpotPose or (R, z_L, alpha, beta), optional
         mm and rad; the closed form unless given.
     restart : bool
-        Whether a search that fails, or whose chi-squared is beyond its 1e-6 quantile, is repeated from the closed form.
+        Whether a search from a given start that fails, or whose chi-squared is beyond its 1e-6 quantile, is repeated
+        from the closed form.
     throw : bool
         Raise `SolveError`, carrying the solution, where no defensible plane was found; otherwise it is returned with
         its status.
@@ -86,7 +98,8 @@ def solve_problem(
 ) -> Solution:
     """As `solve`, from a `Problem`: points or an ellipse on the laser-parallel image plane, in mm."""
     formulation = Constrained() if formulation is None else formulation
-    solver = Ipopt() if solver is None else solver
+    if solver is None:
+        solver = Swift() if isinstance(formulation, Penalty) else Ipopt()
     first = starts.from_closed_form(problem) if start is None else starts.given(start, problem)
     solution = _attempt(problem, formulation, solver, first)
     if restart and start is not None and _failed(solution):
@@ -168,6 +181,10 @@ def _worst_row(found: Found) -> str:
     if not len(violation) or not np.isfinite(violation).all():
         return f"Its functions are not finite there ({found.report})."
     worst = int(np.argmax(violation))
+    if violation[worst] < found.kkt.feasibility:
+        outside = np.maximum(nlp.lower - found.x, found.x - nlp.upper)
+        name = nlp.model.variables[int(np.argmax(outside / nlp.x_scale))]
+        return f"{name} is beyond its bound by {outside.max():.3g} ({found.report})."
     equation, size = nlp.model.rows[worst].equation, violation[worst] * nlp.row_scale[worst]
     return f"{equation} is off by {size:.3g} {equation.unit} ({found.report})."
 
@@ -202,9 +219,11 @@ def _judged(solution: Solution, problem: Problem, plane: Array, covariance: Arra
         other_plane=evidence.second_plane(problem, plane),
         residuals=evidence.residuals(problem, plane),
     )
-    judged_by_distance = not (isinstance(covariance, NoCovariance) or fit.improbable)
-    if judged_by_distance and evidence.excess(problem, plane, np.asarray(covariance)) > evidence.EXCESS:
-        return _refused(solution, Status.LOCAL_MINIMUM, Status.LOCAL_MINIMUM.value)
+    if not (isinstance(covariance, NoCovariance) or fit.improbable):
+        excess = evidence.excess(problem, plane, covariance)
+        if excess > evidence.EXCESS:
+            message = f"{Status.LOCAL_MINIMUM.value} ({np.sqrt(excess):.0f} of its standard deviations)"
+            return _refused(solution, Status.LOCAL_MINIMUM, message)
     status, message = _verdict(problem, judged, plane, fit, missing)
     return replace(judged, status=status, message=message, flags=(*judged.flags, *_reservations(problem, judged, fit)))
 

@@ -19,6 +19,10 @@ RANK_TOLERANCE = 1e-9
 """Relative to the largest singular value of rows and columns scaled to order 1: far above rounding, far below data."""
 
 
+DEFICIENT = 1e-12
+"""Of the independent system, whitened by the covariance of B, whose condition number itself can reach 1e10."""
+
+
 def identify(problem: Problem, start: Start) -> Identifiability:
     """Ranks of the ten equations at the start, moved onto the laser constraint, and what the independent ones fix.
 
@@ -44,7 +48,7 @@ def identify(problem: Problem, start: Start) -> Identifiability:
     independent[1:] = np.linalg.solve(problem.B_factor, independent[1:])
     independent[1:] /= max(float(np.linalg.norm(independent[1:])), np.finfo(float).tiny)
     values, right = np.linalg.svd(independent)[1:]
-    deficient = values[-1] <= 1e-3 * RANK_TOLERANCE * values[0]
+    deficient = values[-1] <= DEFICIENT * values[0]
     return Identifiability(
         len(eq.TEN),
         4,

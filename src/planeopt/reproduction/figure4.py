@@ -136,7 +136,7 @@ def _label_space(axes: Axes, view: _View) -> None:
     _arrow(axes, view, (22, 0, 0), "x", ha="right", va="top")
     _arrow(axes, view, (0, 22, 0), "y", ha="center", va="top")
     _text(axes, view, (0, 0, 0), "camera", ha="right", va="bottom", shift=(-5, 4))
-    _text(axes, view, (-4, -4, 25), "image, z = f = 25", ha="center", va="bottom", shift=(0, 4))
+    _text(axes, view, (-4, -4, 25), "image, z = f = 25 mm", ha="center", va="bottom", shift=(0, 4))
     _text(axes, view, (paper.SETUP.e_x, paper.SETUP.e_y, 0), "beam", ha="right", va="top", shift=(-20, -20), color=BEAM)
 
 

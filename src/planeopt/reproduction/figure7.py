@@ -50,7 +50,7 @@ def _references(column: list[Axes], result: Reproduction) -> None:
     # The row of the residual, the last one, has no such value.
     for axes, true, other in zip(column[: len(truth)], truth, second, strict=True):
         axes.axhline(true, color="black", lw=0.8, zorder=1, label="the plane")
-        axes.axhline(other, color=SECOND, lw=0.8, zorder=1, label="the second plane")
+        axes.axhline(other, color=SECOND, lw=0.8, ls=(0, (6, 3)), zorder=1, label="the second plane")
 
 
 def _stages(column: list[Axes], search: Search, label: str) -> None:

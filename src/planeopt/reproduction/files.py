@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 
 from planeopt import paper
@@ -16,6 +17,7 @@ from planeopt.reproduction.figure5 import figure5
 from planeopt.reproduction.figure7 import figure7
 from planeopt.reproduction.results import Answer, Array, Reproduction
 from planeopt.reproduction.searches import Search
+from planeopt.reproduction.style import SAVED
 
 _FIGURES = {"figure4": figure4, "figure5": figure5, "figure7": figure7}
 _SUFFIXES = (".png", ".svg")
@@ -43,7 +45,8 @@ def write(result: Reproduction, out: Path) -> list[Path]:
             path = out / f"{name}{suffix}"
             # Without a date the same numbers give the same file.
             metadata = {"Date": None} if suffix == ".svg" else None
-            _replace(path, lambda part, f=figure, s=suffix, m=metadata: f.savefig(part, format=s[1:], metadata=m))
+            with mpl.rc_context(SAVED):
+                _replace(path, lambda part, f=figure, s=suffix, m=metadata: f.savefig(part, format=s[1:], metadata=m))
             written.append(path)
     text = f"{json.dumps(to_dict(result), indent=1, allow_nan=False)}\n"
     _replace(out / "reproduce.json", lambda part: part.write_text(text, encoding="utf-8"))

@@ -26,10 +26,10 @@ _STYLE: dict[Any, Any] = {
     "legend.fontsize": 9.5,
     "legend.frameon": False,
     "lines.solid_capstyle": "round",
-    # Ids in SVG files are random unless salted; the same numbers are to give the same file.
-    "svg.hashsalt": "planeopt",
-    "svg.fonttype": "path",
 }
+
+SAVED: dict[Any, Any] = {"svg.hashsalt": "planeopt", "svg.fonttype": "path"}
+"""How figures are saved: ids in SVG files are random unless salted, and the same numbers are to give the same file."""
 
 
 @contextmanager

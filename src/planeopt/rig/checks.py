@@ -7,7 +7,10 @@ from planeopt.errors import InputError
 
 def finite(key: str, value: float) -> float:
     """Return the value as a float, or raise an `InputError` that names the key."""
-    number = float(value)
+    try:
+        number = float(value)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{key} must be a number, not {value!r}") from error
     if not math.isfinite(number):
         raise InputError(f"{key} must be a finite number, not {number}")
     return number

@@ -140,7 +140,7 @@ def plane_covariance(nlp: Nlp, x: Array) -> Array | NoCovariance:
     covariance = root @ root.T
     if not _positive_definite(covariance):
         return NoCovariance(Status.NO_COVARIANCE, "the KKT conditions give one that is not positive definite")
-    return (covariance + covariance.T) / 2
+    return covariance
 
 
 _FEW_DIGITS = 1e-3

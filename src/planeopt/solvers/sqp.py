@@ -59,5 +59,5 @@ class _Options(dict):
         super().__init__(items)
         self._key = items
 
-    def __hash__(self) -> int:  # type: ignore[override]
+    def __hash__(self) -> int:  # type: ignore[override] - dict has none, and a cache key needs one
         return hash(self._key)

@@ -29,8 +29,7 @@ class Swift:
     weights : tuple of float
         The schedule, rising.
     tol : float
-        Relative size of the simplex (in the programme's scaled unknowns) and of the spread of its values at a stage's
-        end.
+        Size of the simplex at a stage's end, in the programme's scaled unknowns.
     max_evaluations : int
         For each stage.
     record : bool
@@ -43,7 +42,10 @@ class Swift:
     record: bool = False
 
     def __post_init__(self) -> None:
-        weights = np.asarray(self.weights, dtype=float)
+        try:
+            weights = np.asarray(self.weights, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"Swift's weights must be numbers, not {self.weights!r}") from error
         rising = weights.ndim == 1 and len(weights) > 0 and np.isfinite(weights).all()
         if not rising or weights[0] <= 0 or np.any(np.diff(weights) <= 0):
             raise InputError(f"Swift's weights must be positive, finite and rising, not {self.weights}")
@@ -63,7 +65,7 @@ class Swift:
         for i, argument in enumerate(inputs):
             buffer.set_arg(i, argument.data)  # pyright: ignore[reportCallIssue] - the stub knows only raw pointers
         for i, result in enumerate(outputs):
-            buffer.set_res(i, result.data)  # pyright: ignore[reportCallIssue]
+            buffer.set_res(i, result.data)  # pyright: ignore[reportCallIssue] - likewise
 
         def value(scaled: Array) -> float:
             inputs[0][:] = scaled * nlp.x_scale

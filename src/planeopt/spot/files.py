@@ -48,7 +48,7 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
     """
     import cv2
 
-    data = np.frombuffer(_read_bytes(Path(path), "image"), dtype=np.uint8)
+    data = np.frombuffer(_read_bytes(Path(path), "image", "an"), dtype=np.uint8)
     if data.size == 0:
         raise InputError(f"{path}: the file is empty, not an image")
     with _captured_stderr() as complaint:
@@ -82,7 +82,7 @@ def read_points(path: str | os.PathLike[str]) -> Spot:
         If the file cannot be read or a row cannot be used; names the file and the line.
     """
     try:
-        text = _read_bytes(Path(path), "file of boundary points").removeprefix(codecs.BOM_UTF8).decode("utf-8")
+        text = _read_bytes(Path(path), "file of boundary points", "a").removeprefix(codecs.BOM_UTF8).decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not a text file in UTF-8 (byte {error.start}); boundary points are CSV") from None
     reader = csv.reader(io.StringIO(text, newline=""))
@@ -172,13 +172,13 @@ def _captured_stderr() -> Iterator[_Complaint]:
                 _log.debug("the image decoder says: %s", complaint.text.strip())
 
 
-def _read_bytes(path: Path, what: str) -> bytes:
+def _read_bytes(path: Path, what: str, article: str) -> bytes:
     try:
         return path.read_bytes()
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such {what}") from None
     except IsADirectoryError:
-        raise InputError(f"{path}: this is a folder, not an {what}".replace("an file", "a file")) from None
+        raise InputError(f"{path}: this is a folder, not {article} {what}") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except ValueError as error:  # a NUL in the name
