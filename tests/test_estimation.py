@@ -299,6 +299,25 @@ def test_penalty_has_swift_for_its_usual_solver(problem: Problem) -> None:
     assert (solution.solver, solution.status) == ("Swift", Status.CONVERGED)
 
 
+@pytest.mark.parametrize(("slope_sigma", "flagged"), [(0.19, False), (0.21, True)])
+def test_slopes_are_weak_beyond_a_standard_deviation_of_a_fifth(slope_sigma: float, flagged: bool) -> None:
+    """The covariance scales with the noise, so the noise that makes any slope sigma follows from one solve."""
+    faint = eq.PaperVariables(10.0 / math.cos(0.2), 900.0, 0.2, 0.5)
+    exact = boundary(faint, WORKED_SETUP, circle(60))
+    unit = solve_problem(Problem.from_points(exact, WORKED_SETUP, SIGMA)).covariance
+    assert unit is not None
+    largest = math.sqrt(np.linalg.eigvalsh(unit[1:, 1:])[-1])
+    solution = solve_problem(Problem.from_points(exact, WORKED_SETUP, SIGMA * slope_sigma / largest))
+    assert (Flag.WEAK in solution.flags) == flagged
+
+
+@pytest.mark.parametrize(("arc", "flagged"), [(0.32, True), (0.35, False)])
+def test_an_arc_is_short_under_a_third(arc: float, flagged: bool) -> None:
+    problem = Problem.from_points(noisy(200, sigma=1e-5), WORKED_SETUP, 1e-5)
+    solution = solve_problem(replace(problem, arc=arc))
+    assert (Flag.SHORT_ARC in solution.flags) == flagged
+
+
 def test_weak_data_are_flagged() -> None:
     faint = eq.PaperVariables(10.0 / math.cos(0.2), 900.0, 0.2, 0.5)
     exact = boundary(faint, WORKED_SETUP, circle(60))

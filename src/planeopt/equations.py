@@ -75,6 +75,11 @@ def slopes(m: Namespace, v: PaperVariables) -> tuple[Any, Any]:
     return -tangent * m.sin(v.beta), tangent * m.cos(v.beta)
 
 
+def long_axis(m: Namespace, p: Any, q: Any, r: Any) -> Any:
+    """The R that puts the spot on the beam: ``r / cos(alpha) = r sqrt(1 + p^2 + q^2)``."""
+    return r * m.sqrt(1 + p**2 + q**2)
+
+
 @dataclass(frozen=True)
 class Equation:
     """A numbered equation: call it as ``equation(m, ...)``; its number, name, unit and block go into every message."""

@@ -47,7 +47,7 @@ class Fit:
 def slope_variables(plane: Array, setup: eq.Setup) -> eq.SlopeVariables:
     """``(R, z_L, p, q)`` with the R that puts the spot on the beam."""
     z_L, p, q = (float(value) for value in plane)
-    return eq.SlopeVariables(setup.r * math.sqrt(1 + p**2 + q**2), z_L, p, q)
+    return eq.SlopeVariables(eq.long_axis(math, p, q, setup.r), z_L, p, q)
 
 
 def fit_quality(problem: Problem, plane: Array, effect: Sensitivity | None) -> Fit:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from planeopt import equations as eq
 from planeopt.closed_form import solve_both
 from planeopt.errors import InputError
 from planeopt.formulations.base import Start
@@ -35,9 +36,8 @@ def given(start: StartLike, problem: Problem) -> Start:
         R, z_L, alpha, beta = (float(value) for value in values)
     if R <= 0 or z_L <= 0 or abs(alpha) >= np.pi / 2:
         raise InputError(f"start needs R > 0, z_L > 0 and |alpha| < pi/2, not R={R:g}, z_L={z_L:g}, alpha={alpha:g}")
-    tangent = np.tan(alpha)
-    slopes = (-tangent * np.sin(beta), tangent * np.cos(beta))
-    return Start(R, (z_L + problem.axial_shift, *slopes), beta, cold=True)
+    p, q = (float(value) for value in eq.slopes(np, eq.PaperVariables(R, z_L, alpha, beta)))
+    return Start(R, (z_L + problem.axial_shift, p, q), beta, cold=True)
 
 
 def from_closed_form(problem: Problem) -> Start:
@@ -48,6 +48,6 @@ def from_closed_form(problem: Problem) -> Start:
     planes = solve_both(problem.B, problem.setup)
     if planes.ok:
         z_L, p, q = (float(value) for value in planes.visible)
-        return Start(problem.setup.r * float(np.sqrt(1 + p**2 + q**2)), (z_L, p, q), float(np.arctan2(-p, q)))
+        return Start(float(eq.long_axis(np, p, q, problem.setup.r)), (z_L, p, q), float(np.arctan2(-p, q)))
     z_L = problem.setup.f * problem.setup.r / problem.minor_axis
     return Start(problem.setup.r, (z_L, 0.0, 0.0), 0.0, cold=True)

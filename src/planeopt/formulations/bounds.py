@@ -5,6 +5,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from planeopt import equations as eq
 from planeopt.errors import InputError
 
 Array = NDArray[np.float64]
@@ -17,6 +18,15 @@ FARTHEST = 1e6
 """Depth bound in beam radii."""
 TURNS = 20 * np.pi
 """The paper's beta is periodic: room for a search that turns, folded back to canonical angles afterwards."""
+
+
+VISIBLE = (eq.in_front, eq.lit_side)
+"""Inequalities of every programme in the paper's variables."""
+
+
+def unit_size(unit: str, r: float) -> float:
+    """What one beam radius is in the unit of an equation: 1, mm or mm^2."""
+    return {"1": 1.0, "mm": r, "mm^2": r**2}[unit]
 
 
 def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:

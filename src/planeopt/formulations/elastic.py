@@ -12,15 +12,13 @@ from numpy.typing import NDArray
 
 from planeopt import equations as eq
 from planeopt.formulations.base import Start
-from planeopt.formulations.bounds import pose_bounds, pose_scale
+from planeopt.formulations.bounds import VISIBLE, pose_bounds, pose_scale, unit_size
 from planeopt.formulations.identifiability import ten_jacobian
 from planeopt.formulations.problem import Problem
 from planeopt.formulations.snooping import detectability, image_misfit, space_left_by_plane
 from planeopt.nlp import Model, Nlp, Row
 
 Array = NDArray[np.float64]
-
-VISIBLE = (eq.in_front, eq.lit_side)
 
 
 @dataclass(frozen=True)
@@ -75,7 +73,7 @@ def _best_without_one(problem: Problem, start: Start) -> Start:
     z_L, p, q = (float(value) for value in min(visible)[1])
     tangent = float(np.hypot(p, q))
     beta = float(np.arctan2(-p, q)) if tangent > 0 else start.beta
-    return Start(problem.setup.r * float(np.sqrt(1 + tangent**2)), (z_L, p, q), beta)
+    return Start(float(eq.long_axis(np, p, q, problem.setup.r)), (z_L, p, q), beta)
 
 
 GROSS = 1e-6
@@ -107,8 +105,7 @@ def _weights(problem: Problem, start: Start) -> Array:
     by_R = np.asarray(ten_jacobian()(start.in_paper_variables, np.concatenate([problem.setup, problem.B])))[5:, 0]
     r = problem.setup.r
     pull = 2 * r * float(np.sum(image * np.abs(by_R)))
-    lengths = {"1": 1.0, "mm": r, "mm^2": r**2}
-    return np.concatenate([[pull / lengths[e.unit] for e in eq.LASER_BLOCK], image])
+    return np.concatenate([[pull / unit_size(e.unit, r) for e in eq.LASER_BLOCK], image])
 
 
 @cache

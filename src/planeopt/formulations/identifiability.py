@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from planeopt import equations as eq
 from planeopt.formulations.base import Start
-from planeopt.formulations.bounds import pose_scale
+from planeopt.formulations.bounds import pose_scale, unit_size
 from planeopt.formulations.problem import Problem
 from planeopt.ranks import independent_rows
 from planeopt.solution import Identifiability
@@ -36,10 +36,9 @@ def identify(problem: Problem, start: Start) -> Identifiability:
     r = problem.setup.r
     alpha = np.arctan(np.hypot(p, q))
     paper = np.array([r / np.cos(alpha), z_L, alpha, start.beta])
-    slopes = np.array([r * np.sqrt(1 + p**2 + q**2), z_L, p, q])
+    slopes = np.array([eq.long_axis(np, p, q, r), z_L, p, q])
     columns = pose_scale(r, z_L)
-    lengths = {"1": 1.0, "mm": r, "mm^2": r**2}
-    row_scale = np.array([lengths[e.unit] for e in eq.LASER_BLOCK] + list(problem.natural_B))
+    row_scale = np.array([unit_size(e.unit, r) for e in eq.LASER_BLOCK] + list(problem.natural_B))
     ten = np.asarray(ten_jacobian()(paper, np.concatenate([problem.setup, problem.B]))) * columns / row_scale[:, None]
     laser, image = ten[:5], ten[5:]
     independent = np.asarray(independent_jacobian()(slopes, np.concatenate([problem.setup, problem.B]))) * columns

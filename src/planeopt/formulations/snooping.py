@@ -60,6 +60,6 @@ def space_left_by_plane(problem: Problem, plane: Array) -> Array:
 
 def whitened_by_plane(problem: Problem, plane: Array) -> Array:
     """Derivative (5, 3) of the image block, in standard deviations of B, by ``(z_L, p, q)``."""
-    R = problem.setup.r * np.sqrt(1 + plane[1] ** 2 + plane[2] ** 2)
+    R = eq.long_axis(np, plane[1], plane[2], problem.setup.r)
     rows = independent_jacobian()(np.array([R, *plane]), np.concatenate([problem.setup, problem.B]))
     return np.asarray(np.linalg.solve(problem.B_factor, np.asarray(rows)[1:, 1:]), dtype=float)

@@ -9,13 +9,12 @@ import numpy as np
 
 from planeopt import equations as eq
 from planeopt.formulations.base import Refusal, Start
-from planeopt.formulations.bounds import check_choice, pose_bounds, pose_scale
+from planeopt.formulations.bounds import VISIBLE, check_choice, pose_bounds, pose_scale
 from planeopt.formulations.identifiability import identify
 from planeopt.formulations.problem import Problem
 from planeopt.nlp import Model, Nlp, Row
 from planeopt.solution import Status
 
-VISIBLE = (eq.in_front, eq.lit_side)
 Reading = Literal["printed", "image objective"]
 
 
