@@ -306,3 +306,9 @@ def test_impossible_angles_and_slopes_are_refused() -> None:
         SpotPose.from_slopes(75, math.inf, 0, 10)
     with pytest.raises(InputError, match="R of a spot must be positive"):
         SpotPose.from_slopes(75, 0.1, 0, 0)
+
+
+@pytest.mark.parametrize("normal", ["up", ("a", 0, 1), object()])
+def test_words_are_no_normal(normal):
+    with pytest.raises(InputError, match="three finite numbers"):
+        Plane(normal, np.array([0.0, 0.0, 1.0]))

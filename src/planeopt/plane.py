@@ -305,7 +305,10 @@ def _half_open(angle: float) -> float:
 
 
 def _vector(name: str, value: ArrayLike) -> FloatArray:
-    vector = np.array(value, dtype=np.float64)
+    try:
+        vector = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"the {name} of a plane must be three finite numbers, not {value!r}") from error
     if vector.shape != (3,) or not np.all(np.isfinite(vector)):
         raise InputError(f"the {name} of a plane must be three finite numbers, not {value}")
     return vector
