@@ -15,7 +15,7 @@ from planeopt.estimation.starts import StartLike
 from planeopt.formulations import ClosedForm, Problem
 from planeopt.methods import METHODS, Method
 from planeopt.plane import Plane, SpotPose
-from planeopt.record import PoseRecord, finite, input_error
+from planeopt.record import PoseRecord, degrees, finite, input_error
 from planeopt.rig import Rig
 from planeopt.solution import Solution
 from planeopt.spot import Spot
@@ -81,17 +81,17 @@ class Row:
             "message": solution.message,
             "z_L_mm": None if pose is None else pose.z_L,
             "alpha_deg": None if pose is None else math.degrees(pose.alpha),
-            "beta_deg": None if pose is None else _degrees(pose.beta),
+            "beta_deg": None if pose is None else degrees(pose.beta),
             "R_mm": None if pose is None else pose.R,
             "sigma_z_L_mm": None if sigma is None else finite(sigma.z_L),
-            "sigma_normal_deg": None if sigma is None else _degrees(sigma.normal),
+            "sigma_normal_deg": None if sigma is None else degrees(sigma.normal),
             "root": None if self.root is None else self.root.name.lower(),
             "z_L_minus_closed_form_mm": None if self.from_closed_form is None else self.from_closed_form.depth,
             "normal_to_closed_form_deg": None
             if self.from_closed_form is None
-            else _degrees(self.from_closed_form.normal),
+            else degrees(self.from_closed_form.normal),
             "z_L_error_mm": None if self.error is None else self.error.depth,
-            "normal_error_deg": None if self.error is None else _degrees(self.error.normal),
+            "normal_error_deg": None if self.error is None else degrees(self.error.normal),
             "chi2": finite(solution.chi2),
             "p_value": finite(solution.p_value),
             "iterations": effort.iterations,
@@ -213,8 +213,3 @@ def nearest_root(pose: SpotPose, plane: Plane, direct: Solution) -> Root:
 def _distance(pose: SpotPose, plane: Plane, other_pose: SpotPose, other_plane: Plane) -> float:
     away = deviation(pose, plane, other_pose, other_plane)
     return away.normal + abs(away.depth / other_pose.z_L)
-
-
-def _degrees(angle: float | None) -> float | None:
-    value = finite(angle)
-    return None if value is None else math.degrees(value)

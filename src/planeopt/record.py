@@ -189,7 +189,7 @@ def _names(flags: Iterable[Enum]) -> tuple[str, ...]:
 def _pose(pose: SpotPose | None) -> dict[str, float | None]:
     if pose is None:
         return {"z_L_mm": None, "alpha_deg": None, "beta_deg": None, "R_mm": None}
-    angles = {"alpha_deg": math.degrees(pose.alpha), "beta_deg": _degrees(pose.beta)}
+    angles = {"alpha_deg": math.degrees(pose.alpha), "beta_deg": degrees(pose.beta)}
     return {"z_L_mm": pose.z_L, **angles, "R_mm": pose.R}
 
 
@@ -217,9 +217,9 @@ def _sigma(sigma: Sigmas | None) -> SigmaRecord:
         return SigmaRecord()
     return SigmaRecord(
         z_L_mm=finite(sigma.z_L),
-        alpha_deg=_degrees(sigma.alpha),
-        beta_deg=_degrees(sigma.beta),
-        normal_deg=_degrees(sigma.normal),
+        alpha_deg=degrees(sigma.alpha),
+        beta_deg=degrees(sigma.beta),
+        normal_deg=degrees(sigma.normal),
     )
 
 
@@ -235,7 +235,8 @@ def _triple(vector: NDArray[np.floating]) -> Triple:
     return x, y, z
 
 
-def _degrees(angle: float | None) -> float | None:
+def degrees(angle: float | None) -> float | None:
+    """Return an angle in degrees as JSON can hold it: None where there is none or it is not finite."""
     value = finite(angle)
     return None if value is None else math.degrees(value)
 

@@ -10,10 +10,10 @@ from cyclopts import Parameter
 from planeopt.cli.files import output_folder, write_csv
 from planeopt.cli.messages import complain, exit_status, tables
 from planeopt.cli.rigs import load_measuring_rig
+from planeopt.cli.tables import table
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
     from planeopt.accuracy import Truth
     from planeopt.comparison import Comparison, FileComparison
@@ -88,52 +88,23 @@ _EFFORT = [
 
 
 def _print_tables(console: "Console", name: str, comparison: "Comparison", truth: "Truth | None") -> None:
-    rows = comparison.to_dicts()
-    answers = _table(f"{name}: answers", rows, [("outcome", "outcome"), ("plane", "root")], _ANSWERS)
+    rows = [{"method": _method(row), **row} for row in comparison.to_dicts()]
+    answers = table(f"{name}: answers", "method", rows, _ANSWERS, words=[("outcome", "outcome"), ("plane", "root")])
     console.print(answers)
     for row in rows:
         if row["status"] != "ok":
-            console.print(f"{_method(row)}: {row['message']}", markup=False, highlight=False)
-    console.print(_table("differences", rows, [], _FROM_CLOSED_FORM + ([] if truth is None else _ERRORS)))
-    console.print(_table("effort", rows, [], _EFFORT))
+            console.print(f"{row['method']}: {row['message']}", markup=False, highlight=False)
+    console.print(table("differences", "method", rows, _FROM_CLOSED_FORM + ([] if truth is None else _ERRORS)))
+    console.print(table("effort", "method", rows, _EFFORT))
     equations = dict.fromkeys(equation for row in rows for equation in row["residuals"])
     residuals = [row | {equation: row["residuals"].get(equation) for equation in equations} for row in rows]
     columns = [(equation, equation, ".1e") for equation in equations]
-    console.print(_table("the ten equations at the solution, left minus right", residuals, [], columns))
-
-
-def _table(
-    title: str,
-    rows: Sequence[Mapping[str, Any]],
-    words: Sequence[tuple[str, str]],
-    numbers: Sequence[tuple[str, str, str]],
-) -> "Table":
-    """Return a table with a row a method: columns of words (heading, key), then of numbers (heading, key, format)."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
-    table.add_column("method", no_wrap=True)
-    for heading, _ in words:
-        table.add_column(heading)
-    for heading, _, _ in numbers:
-        table.add_column(heading, justify="right")
-    for row in rows:
-        table.add_row(
-            _method(row),
-            *(row[key] or "-" for _, key in words),
-            *(_number(row[key], style) for _, key, style in numbers),
-        )
-    return table
+    console.print(table("the ten equations at the solution, left minus right", "method", residuals, columns))
 
 
 def _method(row: Mapping[str, Any]) -> str:
     solver = row["solver"]
     return row["formulation"] if solver == "none" else f"{row['formulation']} + {solver}"
-
-
-def _number(value: float | None, style: str) -> str:
-    return "-" if value is None else format(value, style)
 
 
 def _write(folder: Path, results: Sequence["FileComparison"]) -> None:

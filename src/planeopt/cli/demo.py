@@ -1,7 +1,7 @@
 """`planeopt demo`: the bundled targets, beside their truth."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,10 +10,9 @@ from cyclopts import Parameter
 
 from planeopt.cli.files import output_folder, write_csv
 from planeopt.cli.messages import complain, exit_status, tables
+from planeopt.cli.tables import table
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from planeopt.accuracy import Score
     from planeopt.batch import Measurement
     from planeopt.rig import Rig
@@ -59,8 +58,8 @@ def demo(
             complain(shot.measured.record.message)
     console = tables()
     rows = [_row(shot.score) for shot in shots if shot.score is not None]
-    console.print(_table("poses", _POSES, rows))
-    console.print(_table("errors, beside their standard deviations", _ERRORS, rows))
+    console.print(table("poses", "target", rows, _POSES))
+    console.print(table("errors, beside their standard deviations", "target", rows, _ERRORS))
     if output is not None:
         written = ", ".join(str(output / name) for name in (RECORDS, TABLE, FIGURE))
         console.print(f"written: {written}", soft_wrap=True, highlight=False, markup=False)
@@ -96,20 +95,6 @@ _ERRORS = [
 ]
 
 
-def _table(title: str, columns: Sequence[tuple[str, str, str]], rows: Sequence[Mapping[str, Any]]) -> "Table":
-    """Return a table of some keys of the rows, each with its title and number format."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
-    table.add_column("target")
-    for heading, _, _ in columns:
-        table.add_column(heading, justify="right")
-    for row in rows:
-        table.add_row(row["target"], *(_number(row[key], style) for _, key, style in columns))
-    return table
-
-
 def _row(score: "Score") -> dict[str, Any]:
     """Return a score as a row of the table on disk: mm, degrees, errors also in standard deviations."""
     measured, true, sigma, error = score.pose, score.truth.pose, score.sigma, score.error
@@ -130,10 +115,6 @@ def _row(score: "Score") -> dict[str, Any]:
         "sigma_normal_deg": None if sigma is None else math.degrees(sigma.normal),
         "normal_error_sigmas": score.normal_sigmas,
     }
-
-
-def _number(value: float | None, style: str) -> str:
-    return "-" if value is None else format(value, style)
 
 
 def _write(folder: Path, shots: Sequence[Shot]) -> None:

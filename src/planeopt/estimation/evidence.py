@@ -84,15 +84,19 @@ def fit_quality(problem: Problem, plane: Array, effect: Sensitivity | None) -> F
         return Fit(chi2, p_value, None, None)
     # An inefficient plane's own error is in its points' distances too: only at the efficient one is their law known.
     nearest = plane + _step_to_efficient(problem, plane)
-    b = eq.image_conic_in_slopes(np, slope_variables(nearest, problem.setup), problem.setup)
-    distances = sampson_distances(np.array(b[1:]) / b[0], problem.points, problem.noise)
+    distances = sampson_distances(_ellipse(problem, nearest), problem.points, problem.noise)
     return Fit(chi2, p_value, float(distances @ distances), problem.n_points - 3)
+
+
+def _ellipse(problem: Problem, plane: Array) -> Array:
+    """B_1 ... B_5 (5,) of the image of the plane's spot."""
+    b = eq.image_conic_in_slopes(np, slope_variables(plane, problem.setup), problem.setup)
+    return np.array(b[1:]) / b[0]
 
 
 def _B_by_rig(problem: Problem, plane: Array, effect: Sensitivity) -> Array:
     """Changes of B (5, n) that move the points' distances as the rig's parameters do, by least squares."""
-    b = eq.image_conic_in_slopes(np, slope_variables(plane, problem.setup), problem.setup)
-    by_B = _by_ellipse(problem, np.array(b[1:]) / b[0])
+    by_B = _by_ellipse(problem, _ellipse(problem, plane))
     size = np.linalg.norm(by_B, axis=0)
     return np.linalg.lstsq(by_B / size, effect.residual_by_rig, rcond=None)[0] / size[:, None]
 

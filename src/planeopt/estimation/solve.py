@@ -80,11 +80,8 @@ def solve(
         With ``throw``, for a status whose record is ``refused``.
     """
     problem = Problem.from_spot(spot, rig)
-    found = solve_problem(problem, formulation=formulation, solver=solver, start=start, restart=restart, throw=False)
-    solution = replace(found, flags=(*spot.flags, *found.flags))
-    if throw and solution.status.record == "refused":
-        raise SolveError(solution)
-    return solution
+    found = solve_problem(problem, formulation=formulation, solver=solver, start=start, restart=restart)
+    return _returned(replace(found, flags=(*spot.flags, *found.flags)), throw=throw)
 
 
 def solve_problem(
@@ -105,6 +102,10 @@ def solve_problem(
     if restart and start is not None and _failed(solution):
         again = _attempt(problem, formulation, solver, starts.from_closed_form(problem))
         solution = replace(again, effort=solution.effort + again.effort, flags=(*again.flags, Flag.RESTARTED))
+    return _returned(solution, throw=throw)
+
+
+def _returned(solution: Solution, *, throw: bool) -> Solution:
     if throw and solution.status.record == "refused":
         raise SolveError(solution)
     return solution

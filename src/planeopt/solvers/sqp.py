@@ -37,7 +37,6 @@ class Sqp:
         return "Sqp"
 
     def solve(self, nlp: Nlp) -> Found:
-        quiet = (("print_iter", False), ("print_header", False), ("print_info", False), ("error_on_fail", False))
         options = (
             ("print_header", False),
             ("print_iteration", False),
@@ -47,17 +46,9 @@ class Sqp:
             ("tol_du", self.tol),
             ("max_iter", self.max_iter),
             ("qpsol", "qrqp"),
-            ("qpsol_options", _Options(quiet)),
+            ("qpsol_options.print_iter", False),
+            ("qpsol_options.print_header", False),
+            ("qpsol_options.print_info", False),
+            ("qpsol_options.error_on_fail", False),
         )
         return run(nlp, "sqpmethod", options, record=self.record)
-
-
-class _Options(dict):
-    """A dictionary that can be part of a cache key."""
-
-    def __init__(self, items: tuple[tuple[str, object], ...]) -> None:
-        super().__init__(items)
-        self._key = items
-
-    def __hash__(self) -> int:  # type: ignore[override] - dict has none, and a cache key needs one
-        return hash(self._key)

@@ -1,0 +1,49 @@
+"""Tables for the terminal: a row a thing, its numbers each in a format of its own."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+def table(
+    title: str,
+    first: str,
+    rows: Sequence[Mapping[str, Any]],
+    numbers: Sequence[tuple[str, str, str]],
+    *,
+    words: Sequence[tuple[str, str]] = (),
+) -> "Table":
+    """Return a table of some keys of the rows.
+
+    Parameters
+    ----------
+    title : str
+    first : str
+        Heading and key of the first column, what the row is about.
+    rows : sequence of mapping
+    numbers : sequence of (heading, key, format)
+    words : sequence of (heading, key)
+        Between the first column and the numbers.
+    """
+    from rich import box
+    from rich.table import Table
+
+    made = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    made.add_column(first, no_wrap=True)
+    for heading, _ in words:
+        made.add_column(heading)
+    for heading, _, _ in numbers:
+        made.add_column(heading, justify="right")
+    for row in rows:
+        made.add_row(
+            row[first],
+            *(row[key] or "-" for _, key in words),
+            *(_number(row[key], style) for _, key, style in numbers),
+        )
+    return made
+
+
+def _number(value: float | None, style: str) -> str:
+    return "-" if value is None else format(value, style)
