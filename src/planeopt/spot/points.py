@@ -103,6 +103,10 @@ class Spot:
         Standard deviation of the edge's (of the ridge's) profile across the boundary, px.
     saturation : float, optional
         Share of the spot's pixels at full scale; ``None`` where full scale is not known.
+    noise : float, optional
+        Standard deviation of a pixel at the spot's background, share of full scale.
+    rejected : (M, 2) array
+        Boundary points that were measured and left out (occluded, streaks, outliers), raw pixels; for the eye only.
     flags : tuple of SpotFlag
         What a reader should know.
     source : str, optional
@@ -121,6 +125,8 @@ class Spot:
     contrast: float | None = None
     blur: float | None = None
     saturation: float | None = None
+    noise: float | None = None
+    rejected: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
     flags: tuple[SpotFlag, ...] = field(default=())
     source: str | None = None
 
@@ -131,6 +137,10 @@ class Spot:
         if len(points) < MIN_POINTS:
             raise InputError(f"spot: an ellipse needs at least {MIN_POINTS} points, not {len(points)}")
         object.__setattr__(self, "points", points)
+        rejected = _frozen(self.rejected, "rejected")
+        if rejected.ndim != 2 or rejected.shape[1] != 2:
+            raise InputError(f"spot: rejected must have shape (M, 2), not {rejected.shape}")
+        object.__setattr__(self, "rejected", rejected)
         if self.sigma is not None:
             sigma = _frozen(self.sigma, "sigma")
             if sigma.shape != (len(points),):
@@ -142,7 +152,13 @@ class Spot:
             object.__setattr__(self, "sigma", sigma)
         if self.kind not in (None, "disc", "ring"):
             raise InputError(f'spot: kind must be "disc" or "ring", not {self.kind!r}')
-        for name, upper in (("arc_fraction", 1.0), ("contrast", np.inf), ("blur", np.inf), ("saturation", 1.0)):
+        for name, upper in (
+            ("arc_fraction", 1.0),
+            ("contrast", np.inf),
+            ("blur", np.inf),
+            ("saturation", 1.0),
+            ("noise", np.inf),
+        ):
             object.__setattr__(self, name, _measure(getattr(self, name), name, upper))
         object.__setattr__(self, "flags", tuple(dict.fromkeys(self.flags)))
 
