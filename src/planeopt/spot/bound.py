@@ -1,0 +1,144 @@
+r"""The least noise that a boundary measured in pixels can have: the Cramer-Rao bound of its position.
+
+A piece of boundary one pixel long is crossed by a profile :math:`I(x) = B + C\,g((x - s)/w)`: background B, height C, a
+shape g of width w, position s along the normal. Pixels of unit area with independent noise of variance
+:math:`\sigma^2` sample it; where the profile is wide against a pixel their sum is an integral, and the Fisher
+information of s per pixel of the boundary's length is
+
+.. math:: J = \frac{C^2}{w} \int \frac{g'(t)^2}{\sigma^2(g(t))}\,dt .
+
+With constant noise and the whole profile unclipped,
+
+- a step blurred by a Gaussian, :math:`g = \Phi(-t)`: :math:`\int g'^2 = 1/(2\sqrt\pi)`, so
+  :math:`\sigma_s = (\sigma/C)\sqrt{2\sqrt\pi\,w}`;
+- a Gaussian ridge, :math:`g = e^{-t^2/2}`: :math:`\int g'^2 = \sqrt\pi/2`, so
+  :math:`\sigma_s = (\sigma/C)\sqrt{2w/\sqrt\pi}`.
+
+A clipped pixel says only that its light was above the clipping level, which it knows with near certainty: it carries no
+information, and the integral leaves it out. Clipped at the share q of its height,
+
+- the step keeps the share :math:`\Phi(\sqrt2\,\Phi^{-1}(q))` of its information;
+- the ridge keeps :math:`(2/\sqrt\pi)\,\tau e^{-\tau^2} + \mathrm{erfc}(\tau)` with :math:`\tau^2 = -2\ln q`.
+
+Background, height and width cost nothing extra to first order where they are shared round the spot: hundreds of pixels
+inside and outside tell them. Where each normal has its own they do: `Bound` is for those that share.
+
+Points that stand for `d` pixels of boundary each have :math:`\sigma_s/\sqrt d`, and anything that moves the boundary by
+:math:`j(l)` at arc length l per unit of a parameter is known with the covariance
+:math:`\sigma_s^2\,(\oint j\,j^T\,dl)^{-1}`.
+
+The width w is that of the whole profile: optics, the pixel's own area (variance 1/12 px^2) and the beam's own softness
+add in squares. Rounding to whole grey values adds 1/12 to the noise's variance. The information that a noise depending
+on the level holds about the level is left out: it is that of the means.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import erfc, ndtr, ndtri
+
+from planeopt.spot.points import Kind
+
+Array = NDArray[np.float64]
+
+_REACH = 7.0  # widths: g' is 1e-11 of its peak there
+_NODES = 257
+
+
+def boundary_sigma(
+    kind: Kind,
+    contrast: ArrayLike,
+    noise: ArrayLike,
+    blur: ArrayLike,
+    *,
+    clip: ArrayLike = np.inf,
+    noise_bright: ArrayLike | None = None,
+) -> Array:
+    """Return the least standard deviation of the position across one pixel of boundary; arguments broadcast.
+
+    Parameters
+    ----------
+    kind : {"disc", "ring"}
+        A blurred step, or a ridge.
+    contrast : array_like
+        Height over the background, in any unit of grey.
+    noise : array_like
+        Standard deviation of a pixel, in the same unit; at the background if `noise_bright` is given.
+    blur : array_like
+        Standard deviation of the profile, px: the step's blur or the ridge's width.
+    clip : array_like
+        Share of the height above which pixels are clipped; at or above 1 none is.
+    noise_bright : array_like, optional
+        Standard deviation of a pixel at the plateau (on the ridge); the variance is linear in the level between, as
+        shot noise is.
+
+    Returns
+    -------
+    ndarray
+        px. A boundary `d` pixels long has it over the square root of `d`. Infinite where all is clipped.
+    """
+    contrast, noise, blur = (np.asarray(value, dtype=np.float64) for value in (contrast, noise, blur))
+    clip = np.asarray(clip, dtype=np.float64)
+    if noise_bright is None:
+        shape = _step(clip) if kind == "disc" else _ridge(clip)
+    else:
+        shape = _between(kind, clip, (np.asarray(noise_bright, dtype=np.float64) / noise) ** 2)
+    with np.errstate(divide="ignore"):
+        return noise / contrast * np.sqrt(blur / shape)
+
+
+def point_sigma(per_pixel: ArrayLike, length: ArrayLike, count: ArrayLike) -> Array:
+    """Return the least standard deviation of `count` independent points on a boundary `length` px long.
+
+    Parameters
+    ----------
+    per_pixel : array_like
+        Of `boundary_sigma`, px.
+    length : array_like
+        px.
+    count : array_like
+    """
+    return np.asarray(per_pixel, dtype=np.float64) * np.sqrt(np.asarray(count) / np.asarray(length))
+
+
+def least_covariance(moves: Array, lengths: Array, per_pixel: ArrayLike) -> Array:
+    """Return the least covariance (M, M) of parameters that move a boundary.
+
+    Parameters
+    ----------
+    moves : (N, M) array
+        Movement of N places on the boundary along its normal, px per unit of each parameter.
+    lengths : (N,) array
+        Length of boundary for which each place stands, px.
+    per_pixel : array_like, scalar or (N,)
+        Of `boundary_sigma`, px.
+    """
+    weights = lengths / np.broadcast_to(np.asarray(per_pixel, dtype=np.float64), lengths.shape) ** 2
+    return np.asarray(np.linalg.inv((moves * weights[:, None]).T @ moves), dtype=np.float64)
+
+
+def _step(clip: Array) -> Array:
+    share = np.clip(clip, 0.0, 1.0)
+    return ndtr(np.sqrt(2) * ndtri(share)) / (2 * np.sqrt(np.pi))
+
+
+def _ridge(clip: Array) -> Array:
+    with np.errstate(divide="ignore"):
+        tau = np.sqrt(-2 * np.log(np.clip(clip, 0.0, 1.0)))
+    # At clip = 0 tau is infinite and nothing is left.
+    finite = np.where(np.isfinite(tau), tau, 0.0)
+    return np.where(np.isfinite(tau), finite * np.exp(-(finite**2)) + np.sqrt(np.pi) / 2 * erfc(finite), 0.0)
+
+
+def _between(kind: Kind, clip: Array, ratio: Array) -> Array:
+    """Integrate by Gauss and Legendre over what is not clipped, with a variance of 1 at the background."""
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    share = np.clip(clip, 0.0, 1.0)
+    with np.errstate(divide="ignore"):
+        start = -ndtri(share) if kind == "disc" else np.sqrt(-2 * np.log(share))
+    start = np.clip(start, -_REACH, _REACH)[..., None]
+    t = start + (_REACH - start) * (nodes + 1) / 2
+    density = np.exp(-(t**2) / 2)
+    level, slope = (ndtr(-t), density / np.sqrt(2 * np.pi)) if kind == "disc" else (density, t * density)
+    both_sides = 1.0 if kind == "disc" else 2.0
+    variance = 1 + (np.asarray(ratio)[..., None] - 1) * level
+    return both_sides * np.sum(weights * slope**2 / variance, axis=-1) * (_REACH - start[..., 0]) / 2
