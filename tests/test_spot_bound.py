@@ -91,5 +91,5 @@ def test_known_values() -> None:
     assert np.isinf(boundary_sigma("disc", 180, 2, 1.5, clip=0.0))
     assert np.isinf(boundary_sigma("ring", 180, 2, 1.5, clip=0.0))
     # Two points for each pixel of boundary know half as much each.
-    assert point_sigma(0.02, 100.0, 200.0) == pytest.approx(0.02 * np.sqrt(2))
+    assert point_sigma(0.02, 0.5) == pytest.approx(0.02 * np.sqrt(2))
     assert boundary_sigma("ring", [50, 100], 2, 1).shape == (2,)

@@ -86,18 +86,17 @@ def boundary_sigma(
         return noise / contrast * np.sqrt(blur / shape)
 
 
-def point_sigma(per_pixel: ArrayLike, length: ArrayLike, count: ArrayLike) -> Array:
-    """Return the least standard deviation of `count` independent points on a boundary `length` px long.
+def point_sigma(per_pixel: ArrayLike, spacing: ArrayLike) -> Array:
+    """Return the least standard deviation of independent points, each of which stands for a piece of boundary.
 
     Parameters
     ----------
     per_pixel : array_like
         Of `boundary_sigma`, px.
-    length : array_like
-        px.
-    count : array_like
+    spacing : array_like
+        Length of the piece, px.
     """
-    return np.asarray(per_pixel, dtype=np.float64) * np.sqrt(np.asarray(count) / np.asarray(length))
+    return np.asarray(per_pixel, dtype=np.float64) / np.sqrt(np.asarray(spacing, dtype=np.float64))
 
 
 def least_covariance(moves: Array, lengths: Array, per_pixel: ArrayLike) -> Array:
