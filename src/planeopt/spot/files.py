@@ -6,6 +6,7 @@ import io
 import logging
 import math
 import os
+import re
 import sys
 import tempfile
 import threading
@@ -19,48 +20,96 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planeopt.errors import InputError
+from planeopt.spot.headers import coding_of
 from planeopt.spot.points import MIN_POINTS, Spot, SpotFlag
 
 _log = logging.getLogger(__name__)
 _DECODING = threading.Lock()  # standard error is one for the whole process
 
+_DAMAGE = re.compile(r"error|corrupt|premature|truncated|not enough|too much image|extra compressed", re.IGNORECASE)
+_ORIGIN = re.compile(r"^\[[^]]*\] global \S+ \S+ ")  # OpenCV's own: time, file and line
 _HEADERS = (["x_px", "y_px"], ["x_px", "y_px", "sigma_px"])
 _EXPECTED = "the header must be x_px,y_px or x_px,y_px,sigma_px"
 
 
+@dataclass(frozen=True, eq=False)
+class StoredImage:
+    """An image as a file holds it.
+
+    Parameters
+    ----------
+    pixels : (H, W) or (H, W, C) array
+        Depth kept; colour in the order blue, green, red (and alpha).
+    encoded : bool
+        The file says, or its format means, that the values are coded for display and not proportional to light: JPEG,
+        GIF, WebP; a PNG with a gamma, sRGB or a colour profile; a TIFF with a colour profile.
+    """
+
+    pixels: NDArray[Any]
+    encoded: bool
+
+
 def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
-    """Read an image as it is stored.
+    """Read an image as it is stored; `load_image` tells more.
 
     Parameters
     ----------
     path : path
-        PNG, TIFF, JPEG, BMP or PGM; grey or colour; 8 or 16 bit.
+        PNG, TIFF, JPEG, BMP or PGM; grey or colour; 8 or 16 bit, TIFF also floats. Of several pages the first.
 
     Returns
     -------
     (H, W) or (H, W, C) ndarray
-        The pixels, depth kept; colour in the order blue, green, red (and alpha).
+        The pixels in the order of the file, whatever orientation it notes (EXIF, TIFF): the camera's pixels are what
+        the rig speaks of. Depth kept; colour in the order blue, green, red (and alpha, by which nothing is multiplied).
 
     Raises
     ------
     InputError
-        If there is no such file, or it is not a readable image.
+        If there is no such file, or it is not a readable image: damaged ones are refused where it can be told.
     """
+    return load_image(path).pixels
+
+
+def load_image(path: str | os.PathLike[str]) -> StoredImage:
+    """Read an image as `read_image` does, and what its file says of the coding of the values.
+
+    Raises
+    ------
+    InputError
+        As `read_image`.
+    """
+    data = _read_bytes(Path(path), "image", "an")
+    if not data:
+        raise InputError(f"{path}: the file is empty, not an image")
+    try:
+        coding = coding_of(data)
+        return StoredImage(_decoded(coding.data), coding.encoded)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _decoded(data: bytes) -> NDArray[Any]:
     import cv2
 
-    data = np.frombuffer(_read_bytes(Path(path), "image", "an"), dtype=np.uint8)
-    if data.size == 0:
-        raise InputError(f"{path}: the file is empty, not an image")
     with _captured_stderr() as complaint:
         try:
-            image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+            image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
         except cv2.error as error:
-            raise InputError(f"{path}: not a readable image ({error.err})") from None
+            raise InputError(_refusal(error.err)) from None
     if image is None:
-        raise InputError(f"{path}: not an image that can be read (PNG, TIFF, JPEG, BMP and PGM can), or damaged")
-    if any(word in complaint.text.lower() for word in ("corrupt", "premature", "truncated")):
-        raise InputError(f"{path}: the image is damaged ({complaint.text.strip().splitlines()[-1][:120]})")
+        raise InputError("not an image that can be read (PNG, TIFF, JPEG, BMP and PGM can), or damaged")
+    # What a decoder gives although something was wrong is partly made up.
+    wrong = [line for line in complaint.text.splitlines() if _DAMAGE.search(line)]
+    if wrong:
+        raise InputError(f"the image is damaged ({_ORIGIN.sub('', wrong[-1]).strip()[:120]})")
     return image
+
+
+def _refusal(reason: str) -> str:
+    if "CV_IO_MAX" in reason:
+        return "the image claims more pixels than can be read"
+    return f"not a readable image ({' '.join(reason.split())[:120]})"
 
 
 def read_points(path: str | os.PathLike[str]) -> Spot:

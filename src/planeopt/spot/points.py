@@ -37,6 +37,11 @@ class SpotFlag(Enum):
     NOT_AN_ELLIPSE = (
         "The boundary departs from an ellipse by more than 3 times what the image's noise explains; sigma includes it."
     )
+    ENCODED = (
+        "The image file is JPEG, or says that its values are coded for display (gamma, sRGB, colour profile): "
+        "if they are not proportional to light, the boundary lies too far out, by 0.8 of its blur at a gamma of 2.2; "
+        "give gamma or linear images."
+    )
     SIGMA_UNKNOWN = "The file gave no sigma_px: the points' noise has to be estimated from their residuals."
 
 
