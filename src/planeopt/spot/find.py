@@ -31,6 +31,9 @@ def find_spot(
     *,
     kind: Kind | None = None,
     camera_blur: float | None = None,
+    level: float | None = None,
+    channel: str | None = None,
+    gamma: float | None = None,
     source: str | None = None,
 ) -> Spot:
     """Find the laser spot in an image and measure its boundary to a small fraction of a pixel.
@@ -50,6 +53,8 @@ def find_spot(
     camera_blur : float, optional
         Standard deviation of what optics and pixels blur, px, if known. It matters for small spots with a boundary that
         is soft by itself, rings above all (`SpotFlag.OWN_WIDTH`).
+    level, channel, gamma : optional
+        As in `planeopt.rig.SpotDefinition`, where there is no rig that says so; they must not contradict the rig's.
     source : str, optional
         Name of the file, for the record.
 
@@ -63,9 +68,9 @@ def find_spot(
     SpotNotFound
         If there is no spot, no single one, or none that can be measured; carries the reason.
     InputError
-        If the array is not an image, or not of the rig's size.
+        If the array is not an image, not of the rig's size, or the rig defines its spot otherwise than asked for.
     """
-    definition = SpotDefinition() if rig is None or rig.spot is None else rig.spot
+    definition = _definition(rig, {"level": level, "channel": channel, "gamma": gamma})
     if camera_blur is not None and not 0 < camera_blur < np.inf:
         raise InputError(f"camera_blur must be a positive number of pixels, not {camera_blur!r}")
     said = kind if kind is not None else _kind(rig)
@@ -103,6 +108,19 @@ def find_spot(
         flags=_flags(boundary, noise, saturation, said is None and candidate.kind == "ring"),
         source=source,
     )
+
+
+def _definition(rig: Rig | None, asked: dict[str, Any]) -> SpotDefinition:
+    asked = {name: value for name, value in asked.items() if value is not None}
+    if rig is None or rig.spot is None:
+        return SpotDefinition(**asked)
+    for name, value in asked.items():
+        own = getattr(rig.spot, name)
+        if value != own:
+            raise InputError(
+                f"{name} {value} was asked for, but the rig's radius was calibrated with {own}: leave it out"
+            )
+    return rig.spot
 
 
 def _kind(rig: Rig | None) -> Kind | None:
