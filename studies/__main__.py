@@ -1,0 +1,37 @@
+"""Run studies: `python -m studies [NAME...] [--quick] [--jobs N] [-o DIR]`."""
+
+import argparse
+import importlib
+import sys
+import time
+from pathlib import Path
+from typing import cast
+
+from planeopt.executors import processes
+from studies.study import Study, write
+
+STUDIES = ("image",)
+RESULTS = Path(__file__).parent / "results"
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the studies that are named, all unless named, and write `DIR/NAME/`."""
+    parser = argparse.ArgumentParser(prog="python -m studies", description="Run studies and write their results.")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join(STUDIES)}; all unless named")
+    parser.add_argument("--quick", action="store_true", help="what the tests run: few draws, seconds")
+    parser.add_argument("--jobs", type=int, default=1, help="processes to work in; the results do not depend on it")
+    parser.add_argument("-o", "--output", type=Path, default=RESULTS, help="folder of the results")
+    given = parser.parse_args(arguments)
+    unknown = [name for name in given.names if name not in STUDIES]
+    if unknown:
+        parser.error(f"there is no study {unknown[0]!r}; known are {', '.join(STUDIES)}")
+    with processes(given.jobs) as executor:
+        for name in given.names or STUDIES:
+            study = cast(Study, importlib.import_module(f"studies.{name}"))
+            begun = time.perf_counter()
+            write(study.run("quick" if given.quick else "full", executor), given.output / name)
+            sys.stdout.write(f"{name}: {time.perf_counter() - begun:.0f} s, {given.output / name}\n")
+
+
+if __name__ == "__main__":
+    main()

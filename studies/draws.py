@@ -1,0 +1,197 @@
+"""Random rigs, planes and scenes whose spot has a wanted size and look in the image, from a seed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planeopt.plane import SpotPose
+from planeopt.rig import Beam, Camera, Rig, SpotDefinition
+from planeopt.simulation import BeamProfile, Noise, Optics, Scene, Surface
+from planeopt.spot.bound import boundary_sigma
+from planeopt.spot.points import Kind
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Range:
+    """Of what is drawn; both ends the same: fixed."""
+
+    low: float
+    high: float
+
+    @classmethod
+    def at(cls, value: float) -> "Range":
+        """Return the range of one value."""
+        return cls(value, value)
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """Return a uniform value."""
+        return float(rng.uniform(self.low, self.high))
+
+    def draw_log(self, rng: np.random.Generator) -> float:
+        """Return a value with a uniform logarithm."""
+        return float(np.exp(rng.uniform(np.log(self.low), np.log(self.high))))
+
+
+@dataclass(frozen=True)
+class View:
+    """What a spot may look like.
+
+    Parameters
+    ----------
+    radius_px : Range
+        Of the beam's radius as the camera sees it at the plane's distance, fx r / z_L.
+    tilt_deg : Range
+        Of the plane against the beam; its direction is uniform.
+    kind : {"disc", "ring"}
+    image_size : tuple of int, optional
+        Width and height, px, with the spot somewhere in it; just large enough for the spot unless given.
+    """
+
+    radius_px: Range
+    tilt_deg: Range = Range(0.0, 65.0)
+    kind: Kind = "disc"
+    image_size: tuple[int, int] | None = None
+
+
+_MARGIN = 40.0  # px round the spot
+_TRIES = 200
+
+
+def draw_view(view: View, rng: np.random.Generator) -> tuple[Rig, SpotPose]:
+    """Return a rig without covariance and a plane that it sees whole and from its lit side.
+
+    The focal length is 900 to 2500 px, the distance 100 to 500 mm, the beam's offset 5 to 25 % of it, its direction
+    within 2 degrees of the optical axis, the distortion that of ordinary lenses (k1 within 0.15, k2 within 0.1,
+    tangential terms within 0.001). The principal point lies where the image has to be for the spot to be in it.
+    """
+    for _ in range(_TRIES):
+        fx = rng.uniform(900, 2500)
+        z_L = Range(100.0, 500.0).draw_log(rng)
+        radius = view.radius_px.draw_log(rng) * z_L / fx
+        away, around = z_L * rng.uniform(0.05, 0.25), rng.uniform(-np.pi, np.pi)
+        lean = np.radians(2.0) * np.sqrt(rng.uniform()) * np.exp(1j * rng.uniform(-np.pi, np.pi))
+        beam = Beam(
+            radius,
+            (float(away * np.cos(around)), float(away * np.sin(around))),
+            (float(lean.real), float(lean.imag), float(np.sqrt(1 - abs(lean) ** 2))),
+        )
+        distortion = (rng.uniform(-0.15, 0.15), rng.uniform(-0.1, 0.1), *rng.uniform(-1e-3, 1e-3, 2), 0.0)
+        alpha, beta = np.radians(view.tilt_deg.draw(rng)), rng.uniform(-np.pi, np.pi)
+        pose = SpotPose.canonical(radius / np.cos(alpha), z_L, alpha, beta)
+        rig = _framed(Camera((2, 2), fx, fx * rng.uniform(0.998, 1.002), 0.0, 0.0, distortion), beam, pose, view, rng)
+        if rig is not None:
+            return rig, pose
+    raise RuntimeError(f"no plane with such a spot in {_TRIES} tries: {view}")
+
+
+def spot_in_space(rig: Rig, pose: SpotPose, count: int) -> Array:
+    """Return points (count, 3) of the spot's boundary, camera frame, mm, where the beam's mantle meets the plane."""
+    beam, plane = rig.require_beam(), rig.plane_from_pose(pose)
+    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    rim = beam.radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(count)], axis=1) @ rig.Q
+    along, start = np.array(beam.direction), np.array([*beam.offset, 0.0]) + rim
+    return start - (plane.distance_to(start) / (plane.normal @ along))[:, None] * along
+
+
+def _framed(camera: Camera, beam: Beam, pose: SpotPose, view: View, rng: np.random.Generator) -> Rig | None:
+    """Place the image round the spot; None where the plane cannot be seen or the lens folds over."""
+    rig = Rig(camera, beam)
+    plane = rig.plane_from_pose(pose)
+    boundary = spot_in_space(rig, pose, 256)
+    # The plane's lit side is seen where camera and laser are on one side of it.
+    if plane.normal @ plane.point < 0.05 * pose.z_L * np.cos(pose.alpha) or boundary[:, 2].min() < 0.2 * pose.z_L:
+        return None
+    normalised = boundary[:, :2] / boundary[:, 2:]
+    if np.hypot(*normalised.T).max() > 0.7 * camera.invertible_radius:
+        return None
+    pixels = camera.project(normalised)
+    low, high = pixels.min(axis=0) - _MARGIN, pixels.max(axis=0) + _MARGIN
+    wanted = np.ceil(high - low).astype(int) if view.image_size is None else np.array(view.image_size)
+    room = wanted - (high - low)
+    if np.any(room < -1):
+        return None
+    corner = low - rng.uniform(0, np.maximum(room, 1e-9))
+    width, height = wanted.tolist()
+    framed = Camera((width, height), camera.fx, camera.fy, -float(corner[0]), -float(corner[1]), camera.distortion)
+    return Rig(framed, beam, SpotDefinition(kind=view.kind))
+
+
+@dataclass(frozen=True)
+class Look:
+    """How bright and how sharp a spot is; grey levels of 8 bits.
+
+    Parameters
+    ----------
+    contrast : Range
+        Height of the blurred edge or ridge over the background.
+    noise : Range
+        Standard deviation of a pixel, the same everywhere.
+    blur_px : Range
+        Standard deviation of the optics' blur; the pixel's own area comes on top of it.
+    background : Range
+    line_px : Range
+        Standard deviation of a ring's own line, as the camera sees it at the plane's distance.
+    over : float
+        By how much the light exceeds full scale; 1 and below: `contrast` counts.
+    full_well_electrons : float, optional
+        With it there is shot noise as well.
+    """
+
+    contrast: Range
+    noise: Range
+    blur_px: Range = Range(0.7, 2.0)
+    background: Range = Range(8.0, 20.0)
+    line_px: Range = Range(0.8, 1.6)
+    over: float = 1.0
+    full_well_electrons: float | None = None
+
+
+FULL_SCALE = 255.0
+PIXEL_VARIANCE = 1 / 12
+"""Of a pixel's own area, px^2; and of rounding, squared grey levels."""
+
+
+@dataclass(frozen=True)
+class Lit:
+    """A scene with what the bound of its boundary needs, in grey levels and px: as seen after the blur."""
+
+    scene: Scene
+    contrast: float
+    noise: float
+    width_px: float
+    clip: float
+
+    @property
+    def per_pixel(self) -> float:
+        """Least standard deviation of one pixel of boundary, px; of the noise without shot noise."""
+        noise = np.hypot(self.noise, np.sqrt(PIXEL_VARIANCE))
+        return float(boundary_sigma(_kind(self.scene), self.contrast, noise, self.width_px, clip=self.clip))
+
+
+def draw_scene(view: View, look: Look, rng: np.random.Generator) -> Lit:
+    """Return a scene of a random rig and plane with a random look; its seed is drawn as well."""
+    rig, pose = draw_view(view, rng)
+    background, noise = look.background.draw(rng), look.noise.draw(rng)
+    blur, line = look.blur_px.draw(rng), look.line_px.draw(rng)
+    contrast = look.over * (FULL_SCALE - background) if look.over > 1 else look.contrast.draw(rng)
+    ring = view.kind == "ring"
+    width = float(np.sqrt(blur**2 + PIXEL_VARIANCE + (line**2 if ring else 0.0)))
+    # Blurring spreads a line's light over its new width.
+    height = contrast * (width / line if ring else 1.0) / FULL_SCALE
+    scene = Scene.of(
+        rig,
+        pose,
+        beam=BeamProfile(kind=view.kind, height=height, line_mm=line * pose.z_L / rig.camera.fx),
+        optics=Optics(blur_px=blur),
+        surface=Surface(background=background / FULL_SCALE),
+        noise=Noise(full_well_electrons=look.full_well_electrons, read=noise / FULL_SCALE),
+        seed=int(rng.integers(2**31)),
+    )
+    return Lit(scene, contrast, noise, width, (FULL_SCALE - background) / contrast)
+
+
+def _kind(scene: Scene) -> Kind:
+    return "ring" if scene.beam.kind == "ring" else "disc"

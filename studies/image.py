@@ -1,0 +1,36 @@
+"""Is the boundary measured in an image unbiased, at the bound of the pixels' noise, and honest about itself?
+
+1. **Bias and noise.** On simulated discs and rings of 8 to 300 px radius, blurred by 0.7 to 2 px, 20 to 230 grey levels
+   high, tilted to 65 degrees, seen through a distorting lens, in 8 bits: is the mean signed distance of the boundary's
+   points from the true boundary below 0.02 px (0.05 px where over-exposed twice), and their noise, and that of the
+   ellipse's size, centre and axes, within 1.5 times what the noise of the pixels allows (`planeopt.spot.bound`)?
+2. **Hard cases.** With speckle, occlusion, distractors, hardly any contrast, saturation, few pixels: is the plane right
+   within 4 of its own standard deviations, and refused where it is not?
+3. **Honesty.** Over random images: have the errors of z_L and of both slopes, over their own sigmas, unit variance?
+"""
+
+from concurrent.futures import Executor
+
+from studies.image_cells import cells_of, run_cells
+from studies.image_figures import boundary_figure, pose_figure
+from studies.image_poses import HARD, Job, run_poses
+from studies.image_summary import cases_of, finding, honesty_of
+from studies.study import Mode, Result
+
+_IMAGES = {"full": (400, 200), "quick": (60, 12)}
+"""Plain ones, and of each hard case."""
+
+
+def run(mode: Mode, executor: Executor | None = None) -> Result:
+    """Answer the three questions."""
+    plain, hard = _IMAGES[mode]
+    cells = run_cells(cells_of(mode), executor)
+    jobs = [Job("plain", seed) for seed in range(plain)]
+    jobs += [Job(case, seed) for case in HARD for seed in range(hard)]
+    poses = run_poses(jobs, executor)
+    cases, honesty = cases_of(poses), honesty_of(poses)
+    return Result(
+        tables={"cells": cells, "poses": poses, "cases": cases, "honesty": honesty},
+        finding=finding(cells, cases, honesty),
+        figures={"boundary": boundary_figure(cells), "poses": pose_figure(poses)},
+    )

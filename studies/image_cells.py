@@ -1,0 +1,168 @@
+"""The boundary over a grid of sizes, blurs, contrasts and noises: bias, noise over the bound, honesty of sigma."""
+
+import zlib
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from planeopt.executors import ordered_map
+from planeopt.simulation import boundary_distances, render
+from planeopt.spot import SpotNotFound, find_spot
+from planeopt.spot.points import Kind
+from studies.boundaries import Deviation, TrueBoundary, deviation
+from studies.draws import Look, Range, View, draw_scene
+from studies.study import Mode
+
+RADII_PX = (8.0, 20.0, 60.0, 300.0)
+BLURS_PX = (0.7, 1.2, 2.0)
+LIGHTS = ((20.0, 1.0), (20.0, 4.0), (80.0, 2.0), (230.0, 1.0), (230.0, 4.0))
+"""Contrast and noise, grey levels."""
+
+_DRAWS = {8.0: 48, 20.0: 32, 60.0: 16, 300.0: 6}
+"""More where one image says less: what remains of the noise in a cell's mean is to be well below 0.02 px."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One combination of the grid; tilt, distortion, rig and place are drawn for each image."""
+
+    kind: Kind
+    over: float
+    radius_px: float
+    blur_px: float
+    contrast: float
+    noise: float
+
+
+@dataclass(frozen=True)
+class CellRow:
+    """What the images of a cell gave.
+
+    Attributes
+    ----------
+    kind, over, radius_px, blur_px, contrast, noise
+        The cell; `over` is the light over full scale, 1 where it is not over-exposed.
+    images, refused : int
+    bias_px, bias_error_px : float
+        Mean signed distance of the points from the true boundary, and its standard error from the images' scatter.
+    over_bound : float
+        RMS distance of the points over their least standard deviation.
+    low_over_bound : float
+        RMS error of size, centre and axes over their least.
+    low_own : float
+        Their mean squared Mahalanobis distance over 5, by the points' own sigma.
+    own_error : float
+        Standard error of `low_own` from the images' scatter.
+    reasons : str
+        Why images were refused.
+    """
+
+    kind: str
+    over: float
+    radius_px: float
+    blur_px: float
+    contrast: float
+    noise: float
+    images: int
+    refused: int
+    bias_px: float
+    bias_error_px: float
+    over_bound: float
+    low_over_bound: float
+    low_own: float
+    own_error: float
+    reasons: str
+
+
+@dataclass(frozen=True)
+class Image:
+    """One image of a cell."""
+
+    cell: Cell
+    draw: int
+
+
+def grid() -> list[Cell]:
+    """Return all cells: the lights for discs and rings, and twice over-exposed ones."""
+    kinds: tuple[Kind, ...] = ("disc", "ring")
+    normal = [
+        Cell(kind, 1.0, radius, blur, contrast, noise)
+        for kind, radius, blur, (contrast, noise) in product(kinds, RADII_PX, BLURS_PX, LIGHTS)
+    ]
+    saturated = [
+        Cell(kind, 2.0, radius, blur, 480.0, 2.0) for kind, radius, blur in product(kinds, RADII_PX[:3], BLURS_PX)
+    ]
+    return normal + saturated
+
+
+def cells_of(mode: Mode) -> list[tuple[Cell, int]]:
+    """Return the cells with their numbers of images; quick: small spots at the ends of the grid."""
+    if mode == "full":
+        return [(cell, _DRAWS[cell.radius_px]) for cell in grid()]
+    ends = ((20.0, 1.0), (230.0, 4.0))
+    quick = [
+        cell
+        for cell in grid()
+        if cell.radius_px in (8.0, 60.0)
+        and cell.blur_px in (0.7, 2.0)
+        and ((cell.contrast, cell.noise) in ends or (cell.over > 1 and cell.radius_px == 60.0))
+    ]
+    return [(cell, 6) for cell in quick]
+
+
+def run_cells(cells: Sequence[tuple[Cell, int]], executor: Executor | None) -> list[CellRow]:
+    """Measure the images of all cells."""
+    images = [Image(cell, draw) for cell, count in cells for draw in range(count)]
+    measured = ordered_map(measure_image, images, executor)
+    return [summary(cell, [next(measured) for _ in range(count)]) for cell, count in cells]
+
+
+def measure_image(image: Image) -> Deviation | str:
+    """Render, measure and compare one image; the reason where there is no spot to be measured."""
+    cell = image.cell
+    rng = np.random.default_rng([_number(cell), image.draw])
+    look = Look(
+        Range.at(cell.contrast),
+        Range.at(cell.noise),
+        Range.at(cell.blur_px),
+        line_px=Range.at(1.2),
+        over=cell.over,
+    )
+    lit = draw_scene(View(Range.at(cell.radius_px), kind=cell.kind), look, rng)
+    scene = lit.scene
+    try:
+        spot = find_spot(render(scene).image, scene.rig)
+    except SpotNotFound as refusal:
+        return refusal.reason.name.lower()
+    return deviation(
+        spot, boundary_distances(scene, spot.points), TrueBoundary.of(scene.rig, scene.pose), lit.per_pixel
+    )
+
+
+def summary(cell: Cell, outcomes: Sequence[Deviation | str]) -> CellRow:
+    """Return the row of a cell; its numbers are NaN where all images were refused."""
+    found = [outcome for outcome in outcomes if isinstance(outcome, Deviation)]
+    reasons = sorted({outcome for outcome in outcomes if isinstance(outcome, str)})
+    columns = np.array([[d.bias, d.over_bound**2, d.low_over_bound**2, d.low_own] for d in found]).reshape(-1, 4)
+    mean = columns.mean(axis=0) if found else np.full(4, np.nan)
+    error = columns.std(axis=0, ddof=1) / np.sqrt(len(found)) if len(found) > 1 else np.full(4, np.nan)
+    return CellRow(
+        **{name: getattr(cell, name) for name in Cell.__dataclass_fields__},
+        images=len(outcomes),
+        refused=len(outcomes) - len(found),
+        bias_px=float(mean[0]),
+        bias_error_px=float(error[0]),
+        over_bound=float(np.sqrt(mean[1])),
+        low_over_bound=float(np.sqrt(mean[2])),
+        low_own=float(mean[3]),
+        own_error=float(error[3]),
+        reasons=" ".join(reasons),
+    )
+
+
+def _number(cell: Cell) -> int:
+    """Return a seed that goes with the cell, whatever other cells there are."""
+    return zlib.crc32(repr(cell).encode())

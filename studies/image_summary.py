@@ -1,0 +1,165 @@
+"""What the images add up to: proportions, variances with their limits, and the finding in words."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.stats
+
+from studies.image_cells import CellRow
+from studies.image_poses import MAHALANOBIS, PoseRow
+
+LEVEL = 0.001
+"""Family-wise: how rarely right code may fail any of a family's two-sided tests."""
+
+RIGHT = 0.98
+COMPONENTS = ("z_L", "p", "q")
+
+
+@dataclass(frozen=True)
+class CaseRow:
+    """How the images of a case ended.
+
+    Attributes
+    ----------
+    case : str
+    images, right, refused, degraded, wrong : int
+    right_mahalanobis : int
+        By the distance in three dimensions instead of each component.
+    least_right : int
+        Fewest that a probability of 0.98 explains, two-sided at the family-wise level of 0.001.
+    reasons : str
+        Why images were refused.
+    """
+
+    case: str
+    images: int
+    right: int
+    refused: int
+    degraded: int
+    wrong: int
+    right_mahalanobis: int
+    least_right: int
+    reasons: str
+
+
+@dataclass(frozen=True)
+class HonestyRow:
+    """Errors of one component over their own sigma, in the plain images.
+
+    Attributes
+    ----------
+    component : str
+    images : int
+    mean : float
+    variance : float
+        About zero.
+    least_variance, largest_variance : float
+        Chi-squared limits, two-sided at the family-wise level of 0.001.
+    kolmogorov_p : float
+        Of the standard normal distribution.
+    """
+
+    component: str
+    images: int
+    mean: float
+    variance: float
+    least_variance: float
+    largest_variance: float
+    kolmogorov_p: float
+
+
+def cases_of(poses: Sequence[PoseRow]) -> list[CaseRow]:
+    """Count the outcomes of each case."""
+    names = list(dict.fromkeys(row.case for row in poses))
+    rows = []
+    for name in names:
+        members = [row for row in poses if row.case == name]
+        ends = Counter(row.outcome for row in members)
+        reasons = Counter(row.reason for row in members if row.outcome == "refused")
+        rows.append(
+            CaseRow(
+                case=name,
+                images=len(members),
+                right=ends["right"],
+                refused=ends["refused"],
+                degraded=ends["degraded"],
+                wrong=ends["wrong"],
+                right_mahalanobis=sum(row.mahalanobis <= MAHALANOBIS for row in members),
+                least_right=int(scipy.stats.binom.ppf(LEVEL / 2 / len(names), len(members), RIGHT)),
+                reasons=" ".join(f"{reason}:{count}" for reason, count in sorted(reasons.items())),
+            )
+        )
+    return rows
+
+
+def honesty_of(poses: Sequence[PoseRow]) -> list[HonestyRow]:
+    """Test the variance of the plain images' errors."""
+    rows = []
+    for name in COMPONENTS:
+        errors = np.array([getattr(row, f"{name}_sigmas") for row in poses if row.case == "plain"])
+        errors = errors[np.isfinite(errors)]
+        n = len(errors)
+        tails = LEVEL / 2 / len(COMPONENTS)
+        least, largest = scipy.stats.chi2.ppf([tails, 1 - tails], n) / n
+        test = scipy.stats.kstest(errors, scipy.stats.norm.cdf)
+        rows.append(
+            HonestyRow(
+                name,
+                n,
+                float(errors.mean()),
+                float(np.mean(errors**2)),
+                float(least),
+                float(largest),
+                float(test.pvalue),
+            )
+        )
+    return rows
+
+
+def finding(cells: Sequence[CellRow], cases: Sequence[CaseRow], honesty: Sequence[HonestyRow]) -> str:
+    """Say what was found; every number comes from the tables."""
+    plain, over = [c for c in cells if c.over == 1], [c for c in cells if c.over > 1]
+    low, points = np.array([c.low_over_bound for c in cells]), np.array([c.over_bound for c in cells])
+    hard = [case for case in cases if case.case != "plain"]
+    images, right = sum(c.images for c in hard), sum(c.right for c in hard)
+    lines = [
+        "# The boundary in an image",
+        "",
+        f"**Bias.** Over {len(plain)} cells ({sum(c.images for c in plain)} images) the largest mean signed distance "
+        f"of the boundary is {_worst(plain)}; in the {len(over)} cells with twice full scale {_worst(over)}.",
+        "",
+        f"**Noise.** The points' RMS distance is {np.nanmedian(points):.2f} times the bound in the median cell, "
+        f"{np.nanmax(points):.2f} times in the worst; size, centre and axes of the ellipse "
+        f"{np.nanmedian(low):.2f} times in the median, {np.nanmax(low):.2f} times in the worst. "
+        f"{sum(c.refused for c in cells)} of {sum(c.images for c in cells)} images were refused.",
+        "",
+        f"**Hard cases.** {right} of {images} planes are right within 4 of their own standard deviations, "
+        f"{sum(c.refused for c in hard)} refused, {sum(c.degraded for c in hard)} off with a warning, "
+        f"{sum(c.wrong for c in hard)} wrong:",
+        "",
+        "| case | images | right | refused | degraded | wrong | right by Mahalanobis |",
+        "|---|---|---|---|---|---|---|",
+        *(
+            f"| {c.case} | {c.images} | {c.right} | {c.refused} | {c.degraded} | {c.wrong} | {c.right_mahalanobis} |"
+            for c in cases
+        ),
+        "",
+        "**Honesty.** "
+        + "; ".join(
+            f"the variance of {h.component} over its own is {h.variance:.2f} "
+            f"(right code: {h.least_variance:.2f} to {h.largest_variance:.2f} in 999 of 1,000 runs)"
+            for h in honesty
+        )
+        + f", over {honesty[0].images} images.",
+    ]
+    return "\n".join(lines)
+
+
+def _worst(cells: Sequence[CellRow]) -> str:
+    row = max(cells, key=lambda c: abs(c.bias_px) if np.isfinite(c.bias_px) else -1.0)
+    return (
+        f"{row.bias_px:+.4f} +- {row.bias_error_px:.4f} px ({row.kind}, radius {row.radius_px:g} px, blur "
+        f"{row.blur_px:g} px, contrast {row.contrast:g}, noise {row.noise:g})"
+    )

@@ -1,0 +1,91 @@
+"""What every study gives, and how it is written: tables, figures, and a finding made from the numbers."""
+
+import csv
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Mode = Literal["quick", "full"]
+"""Quick: what the tests run, seconds. Full: what is committed, minutes."""
+
+Row = Mapping[str, object]
+
+_SAVED: dict[Any, Any] = {"svg.hashsalt": "planeopt", "svg.fonttype": "path"}
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a study found.
+
+    Attributes
+    ----------
+    tables : mapping of str to sequence of dataclass instances
+        A CSV file each, a row an instance, a column a field.
+    finding : str
+        The answer in words, in Markdown; every number in it is made from the tables.
+    figures : mapping of str to Figure
+        A PNG each.
+    """
+
+    tables: Mapping[str, Sequence["DataclassInstance"]]
+    finding: str
+    figures: Mapping[str, Figure] = field(default_factory=dict)
+
+
+class Study(Protocol):
+    """A module of this package that is a study: its docstring states the question."""
+
+    __doc__: str | None
+
+    @staticmethod
+    def run(mode: Mode, executor: Executor | None) -> Result:
+        """Answer the question; the result does not depend on where the executor works."""
+        ...
+
+
+def write(result: Result, folder: Path) -> None:
+    """Write the tables, the figures and the finding; the same numbers give the same files.
+
+    Parameters
+    ----------
+    result : Result
+    folder : Path
+        Made if it is not there; files of the same names are written over.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, rows in result.tables.items():
+        with (folder / f"{name}.csv").open("w", encoding="utf-8", newline="") as stream:
+            writer = csv.writer(stream, lineterminator="\n")
+            writer.writerow(column.name for column in dataclasses.fields(rows[0]))
+            writer.writerows([cell(value) for value in _values(row)] for row in rows)
+    with mpl.rc_context(_SAVED):
+        for name, figure in result.figures.items():
+            figure.savefig(folder / f"{name}.png", dpi=130, metadata={"Software": None})
+    (folder / "finding.md").write_text(result.finding.rstrip() + "\n", encoding="utf-8")
+
+
+def read_table(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a table that was written."""
+    with path.open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def cell(value: object) -> str:
+    """Return a value as tables hold it: six digits of a float; nothing where there is no number."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _values(row: "DataclassInstance") -> list[object]:
+    return [getattr(row, column.name) for column in dataclasses.fields(row)]
