@@ -39,6 +39,7 @@ ROOMS = (
     "record",
     "batch",
     "comparison",
+    "simulation",
     "reproduction",
     "report",
     "example",

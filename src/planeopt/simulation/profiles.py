@@ -1,0 +1,90 @@
+"""The beam's irradiance over its cross-section, before any blur."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
+
+from planeopt.simulation.tables import BeamProfile
+
+Array = NDArray[np.float64]
+
+_NOTHING = 1e-7
+"""Share of the plateau below which light counts as none."""
+_WAVES = 48
+
+
+def reach(beam: BeamProfile, radius: float) -> tuple[float, float]:
+    """Return the range of `rho` in which the irradiance is neither (to 1e-7) zero nor the plateau's.
+
+    Parameters
+    ----------
+    beam : BeamProfile
+    radius : float
+        Of the beam, mm.
+    """
+    tail = -float(ndtri(_NOTHING))
+    if beam.kind == "ring":
+        half = tail * beam.line_mm / radius
+        return max(0.0, 1 - half), 1 + half
+    if beam.kind == "gaussian":
+        outside = (math.log(_NOTHING) / math.log(beam.level)) ** (1 / beam.order)
+        return 0.0, outside / (1 - beam.astigmatism)
+    soft, shift = beam.edge_mm / radius, float(ndtri(beam.level))
+    inner = 1 - soft * (tail - shift)
+    outer = 1 + soft * (tail + shift)
+    return max(0.0, inner * (1 - beam.astigmatism)), outer / (1 - beam.astigmatism)
+
+
+def irradiance(beam: BeamProfile, radius: float, xi: Array) -> Array:
+    """Return the irradiance (...) at places (..., 2) of the cross-section, share of the plateau; smooth profiles only.
+
+    Parameters
+    ----------
+    beam : BeamProfile
+        Not a sharp disc.
+    radius : float
+        Of the beam, mm.
+    xi : ndarray, shape (..., 2)
+        In radii.
+    """
+    rho = np.hypot(xi[..., 0], xi[..., 1])
+    if beam.astigmatism > 0:
+        direction = math.radians(beam.astigmatism_deg)
+        squares = np.maximum(rho * rho, 1e-300)
+        # cos and sin of twice the angle from the axes, without the angle.
+        c2 = (xi[..., 0] ** 2 - xi[..., 1] ** 2) / squares
+        s2 = 2 * xi[..., 0] * xi[..., 1] / squares
+        turn = c2 * math.cos(2 * direction) + s2 * math.sin(2 * direction)
+        # At `level` the contour stays the circle.
+        rho = rho / (1 + beam.astigmatism * (_radial(beam, radius, rho) - beam.level) * turn)
+    return _radial(beam, radius, rho)
+
+
+def _radial(beam: BeamProfile, radius: float, rho: Array) -> Array:
+    if beam.kind == "ring":
+        return np.exp(-0.5 * ((rho - 1) * (radius / beam.line_mm)) ** 2)
+    if beam.kind == "gaussian":
+        # Beyond any light the power would overflow.
+        return np.exp(math.log(beam.level) * np.minimum(rho, 1e3) ** beam.order)
+    return ndtr((1 - rho) * (radius / beam.edge_mm) + float(ndtri(beam.level)))
+
+
+def plateau(beam: BeamProfile, radius: float, xi: Array, rng: np.random.Generator) -> Array:
+    """Return the relative brightness (...), smooth and not negative, at places (..., 2) of the cross-section."""
+    x, y = xi[..., 0], xi[..., 1]
+    value = 1 + beam.slope[0] * x + beam.slope[1] * y + beam.bowl * (x * x + y * y)
+    if beam.unevenness > 0:
+        # A sum of plane waves with normal wave vectors has a Gaussian autocorrelation of that correlation length.
+        waves = rng.normal(0, 1 / beam.unevenness_radii, (_WAVES, 2))
+        phases = rng.uniform(0, math.tau, _WAVES)
+        total = np.zeros_like(x)
+        for (kx, ky), phase in zip(waves, phases, strict=True):
+            total += np.cos(kx * x + ky * y + phase)
+        value = value + beam.unevenness * math.sqrt(2 / _WAVES) * total
+    if beam.fringes > 0:
+        direction = math.radians(beam.fringe_deg)
+        phase = math.tau * radius / beam.fringe_mm * (x * math.cos(direction) + y * math.sin(direction))
+        value = value * (1 + beam.fringes * np.cos(phase))
+    return np.maximum(value, 0.0)
