@@ -57,6 +57,7 @@ class View:
 
 
 _MARGIN = 40.0  # px round the spot
+_MARGIN_SHARE = 0.3  # of the beam's radius in the image, on top of it
 _TRIES = 200
 
 
@@ -108,7 +109,8 @@ def _framed(camera: Camera, beam: Beam, pose: SpotPose, view: View, rng: np.rand
     if np.hypot(*normalised.T).max() > 0.7 * camera.invertible_radius:
         return None
     pixels = camera.project(normalised)
-    low, high = pixels.min(axis=0) - _MARGIN, pixels.max(axis=0) + _MARGIN
+    margin = _MARGIN + _MARGIN_SHARE * beam.radius * camera.fx / pose.z_L
+    low, high = pixels.min(axis=0) - margin, pixels.max(axis=0) + margin
     wanted = np.ceil(high - low).astype(int) if view.image_size is None else np.array(view.image_size)
     room = wanted - (high - low)
     if np.any(room < -1):

@@ -87,7 +87,9 @@ def _plain(seed: int) -> Lit:
 
 
 def _speckle(seed: int) -> Lit:
-    lit, _ = _lit(seed, "speckle", BRIGHT, SIZES)
+    # Dim enough for its bright grains.
+    look = Look(Range(60, 150), Range(1, 2), full_well_electrons=10_000.0)
+    lit, _ = _lit(seed, "speckle", look, SIZES)
     noise = msgspec.structs.replace(lit.scene.noise, speckle=0.35, speckle_grain_px=1.2)
     return _with(lit, noise=noise)
 
