@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 WORKERS ?= 2
 
-.PHONY: demo test lint types bench docs clean
+.PHONY: demo test lint types bench studies docs clean
 
 $(READY): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -29,6 +29,10 @@ test: lint types
 
 bench: $(READY)
 	$(BIN)/pytest benchmarks -p no:cacheprovider
+
+# The work is spread over processes: threads within each would only stand in each other's way.
+studies: $(READY)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m studies --jobs $(WORKERS)
 
 # A page for each room but the command line, whose documentation is its --help; the rooms' pages hold their public names.
 ROOMS := $(sort $(filter-out __% cli,$(basename $(notdir $(wildcard src/planeopt/*.py))) \

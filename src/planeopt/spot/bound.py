@@ -1,35 +1,33 @@
-r"""The least noise that a boundary measured in pixels can have: the Cramer-Rao bound of its position.
+"""The least noise that a boundary measured in pixels can have: the Cramer-Rao bound of its position.
 
-A piece of boundary one pixel long is crossed by a profile :math:`I(x) = B + C\,g((x - s)/w)`: background B, height C, a
-shape g of width w, position s along the normal. Pixels of unit area with independent noise of variance
-:math:`\sigma^2` sample it; where the profile is wide against a pixel their sum is an integral, and the Fisher
-information of s per pixel of the boundary's length is
+A piece of boundary one pixel long is crossed by a profile ``I(x) = B + C g((x - s)/w)``: background B, height C, a
+shape g of width w, position s along the normal. Pixels of unit area with independent noise of variance V sample it;
+where the profile is wide against a pixel their sum is an integral, and the Fisher information of s per pixel of the
+boundary's length is
 
-.. math:: J = \frac{C^2}{w} \int \frac{g'(t)^2}{\sigma^2(g(t))}\,dt .
+    J = (C^2 / w) int g'(t)^2 / V(g(t)) dt .
 
-With constant noise and the whole profile unclipped,
+With constant noise, V = noise^2, and nothing clipped,
 
-- a step blurred by a Gaussian, :math:`g = \Phi(-t)`: :math:`\int g'^2 = 1/(2\sqrt\pi)`, so
-  :math:`\sigma_s = (\sigma/C)\sqrt{2\sqrt\pi\,w}`;
-- a Gaussian ridge, :math:`g = e^{-t^2/2}`: :math:`\int g'^2 = \sqrt\pi/2`, so
-  :math:`\sigma_s = (\sigma/C)\sqrt{2w/\sqrt\pi}`.
+- a step blurred by a Gaussian, ``g = Phi(-t)``: ``int g'^2 = 1 / (2 sqrt(pi))``, so
+  ``sigma_s = (noise / C) sqrt(2 sqrt(pi) w)``;
+- a Gaussian ridge, ``g = exp(-t^2/2)``: ``int g'^2 = sqrt(pi) / 2``, so ``sigma_s = (noise / C) sqrt(2 w / sqrt(pi))``.
 
-A clipped pixel says only that its light was above the clipping level, which it knows with near certainty: it carries no
-information, and the integral leaves it out. Clipped at the share q of its height,
+A clipped pixel says only that its light was above the clipping level, which is known anyhow but for the few pixels at
+that level: it counts as carrying no information, and the integral leaves it out. Clipped at the share q of its height,
 
-- the step keeps the share :math:`\Phi(\sqrt2\,\Phi^{-1}(q))` of its information;
-- the ridge keeps :math:`(2/\sqrt\pi)\,\tau e^{-\tau^2} + \mathrm{erfc}(\tau)` with :math:`\tau^2 = -2\ln q`.
+- the step keeps the share ``Phi(sqrt(2) Phi^-1(q))`` of its information;
+- the ridge keeps ``(2/sqrt(pi)) tau exp(-tau^2) + erfc(tau)``, with ``tau^2 = -2 ln q``.
 
 Background, height and width cost nothing extra to first order where they are shared round the spot: hundreds of pixels
-inside and outside tell them. Where each normal has its own they do: `Bound` is for those that share.
+inside and outside tell them. Where each normal has its own they do cost; the bound is for those that share.
 
-Points that stand for `d` pixels of boundary each have :math:`\sigma_s/\sqrt d`, and anything that moves the boundary by
-:math:`j(l)` at arc length l per unit of a parameter is known with the covariance
-:math:`\sigma_s^2\,(\oint j\,j^T\,dl)^{-1}`.
+Points that stand for d pixels of boundary each have ``sigma_s / sqrt(d)``, and parameters that move the boundary along
+its normal by j(l) at arc length l per unit are known with the covariance ``sigma_s^2 inv(int j j' dl)``.
 
-The width w is that of the whole profile: optics, the pixel's own area (variance 1/12 px^2) and the beam's own softness
-add in squares. Rounding to whole grey values adds 1/12 to the noise's variance. The information that a noise depending
-on the level holds about the level is left out: it is that of the means.
+The width w is that of the whole profile: the optics' blur, the pixel's own area (variance 1/12 px^2) and the beam's own
+softness add in squares. Rounding to whole grey levels adds 1/12 to the noise's variance. What noise that depends on the
+level says about the level is left out: this is the information in the means. `docs/measurement.md` has the derivation.
 """
 
 import numpy as np
