@@ -1,6 +1,7 @@
 """The rig: camera, beam, their joint covariance, and the way from pixels to the laser-parallel image plane."""
 
 from planeopt.rig.beam import Beam, rotation_to_axis
+from planeopt.rig.beam_image import Silhouette, silhouette
 from planeopt.rig.camera import Camera, distort
 from planeopt.rig.covariance import BEAM_PARAMETERS, CAMERA_PARAMETERS, PARAMETERS, RigCovariance
 from planeopt.rig.file import load_rig, rig_from_dict, save_rig
@@ -16,10 +17,12 @@ __all__ = [
     "Camera",
     "Rig",
     "RigCovariance",
+    "Silhouette",
     "SpotDefinition",
     "distort",
     "load_rig",
     "rig_from_dict",
     "rotation_to_axis",
     "save_rig",
+    "silhouette",
 ]

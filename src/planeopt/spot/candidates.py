@@ -1,30 +1,43 @@
-"""Find what in an image looks like a spot: bright, elliptic, with an edge all round."""
+"""Find the one thing in an image that looks like a spot: bright, elliptic, with an edge round most of it."""
 
+import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from planeopt.spot.grey import Grey
-from planeopt.spot.outline import Outline, from_moments
-from planeopt.spot.points import Kind, NoSpotReason, SpotNotFound
+from planeopt.rig import Rig
+from planeopt.spot.ellipses import Ellipses
+from planeopt.spot.grey import Box, Grey
+from planeopt.spot.hints import BeamHint, box_of_previous, region_box
+from planeopt.spot.lines import Look, look_at
+from planeopt.spot.outline import Outline
+from planeopt.spot.points import Kind, NoSpotReason, Spot, SpotNotFound
+from planeopt.spot.pyramid import Level, pixel_noise, pyramid
+from planeopt.spot.rays import edges_on_rays, ellipses_through, promise
+from planeopt.spot.trace import Traced, trace
 
-Array = NDArray[np.float64]
+__all__ = ["Candidate", "find_candidate", "pixel_noise"]
 
-# Shares of the way from the image's median to its brightest part. The low ones are closer together: a faint spot beside
-# a bright reflection is as good a spot.
-_LEVELS = (0.03, 0.05, 0.08, 0.12, 0.17, 0.23, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-_MIN_SEMI_AXIS = 3.5  # px: below, background, edge and plateau of one profile cannot be told apart
-_SEARCH_PIXELS = 1_500_000  # larger images are searched at half or a quarter of their size
-_COMPONENTS_PER_LEVEL = 12  # the largest; what is smaller than a dozen others at its level is not the spot
-_SEEN = 4  # px: smaller parts are not looked at, not even to say that they are too small
+Array = NDArray[np.floating]
+
+_log = logging.getLogger(__name__)
+
+_MIN_SIDE = 16  # px
+_MIN_SIZE, _MIN_MINOR = 3.6, 2.4  # px: below, background, edge and plateau cannot be told apart
+_LARGE = 4_000_000  # pixels: in larger images the smallest spots are looked for only if nothing else is there
+_SEEDS = 200  # of a level
+_LOOKED_AT = 32  # of a level, the most promising
+_AGREE = 0.3  # of the rays
 _NOISE_FACTOR = 3.0  # an edge has to be that many standard deviations of a pixel's noise
 _DARK = 0.02  # of full scale
 _MIN_CONTRAST = 0.004  # of full scale: one grey value of 8 bits
-_RIVAL = 0.3  # a second find with that share of the best one's edge makes the choice a guess
-_MIN_SIDE = 16  # px
+_MIN_SUPPORT = 0.5  # of the boundary
+_MAX_BEYOND = 0.3  # of the boundary: with more light beyond it, it is not a boundary
+_MAX_OUTSIDE = 0.45  # of the boundary
+_RIVAL = 0.3  # a second find with that share of the best one's strength makes the choice a guess
+_JUDGED = 12  # the best, whose kind and contrast are measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +53,13 @@ class Candidate:
     contrast : float
         Height of its edge, share of full scale.
     line_width : float
-        Of a ring: the width of its line, px.
+        Of a ring: the width of its line at half its height, px.
     touches_border : bool
+        Whether a part of it lies off the image.
+    support : float
+        Share of its boundary that is seen.
+    strength : float
+        What it is ranked by: its size times the root of its contrast, less for what speaks against it.
     """
 
     outline: Outline
@@ -49,179 +67,208 @@ class Candidate:
     contrast: float
     line_width: float
     touches_border: bool
-
-    @property
-    def strength(self) -> float:
-        """What it is ranked by: the height of its edge times (up to a factor) its length."""
-        return self.contrast * self.outline.size
+    support: float = 1.0
+    strength: float = 1.0
 
 
-def pixel_noise(values: NDArray[np.float32]) -> float:
-    """Return the standard deviation of the pixels' noise, robust against the image's content.
+@dataclass(frozen=True, slots=True)
+class _Rejected:
+    """The most striking thing that is not a spot, and why not."""
 
-    From the second differences along rows, whose noise is sqrt(6) times the pixels' (Immerkaer, Computer Vision and
-    Image Understanding 64, 1996, in one dimension, with the median absolute value).
-    """
-    sample = values[:: max(1, values.shape[0] // 256)]
-    second = sample[:, :-2] - 2 * sample[:, 1:-1] + sample[:, 2:]
-    return float(np.median(np.abs(second))) / (0.6745 * np.sqrt(6.0)) if second.size else 0.0
+    reason: NoSpotReason | None = None
+    place: tuple[float, float] = (0.0, 0.0)
 
 
-def find_candidate(grey: Grey, noise: float, kind: Kind | None) -> Candidate:
+def find_candidate(
+    grey: Grey,
+    noise: float,
+    kind: Kind | None = None,
+    *,
+    rig: Rig | None = None,
+    region: Sequence[float] | None = None,
+    previous: Spot | ArrayLike | None = None,
+) -> Candidate:
     """Return the one thing in the image that looks like a spot.
+
+    Parameters
+    ----------
+    grey : Grey
+    noise : float
+        Standard deviation of a pixel, share of full scale.
+    kind : {"disc", "ring"}, optional
+        What it has to be.
+    rig : Rig, optional
+        Its beam says where the spot can lie.
+    region : sequence of float, optional
+        ``(x0, y0, x1, y1)``, px: where the spot's centre is looked for.
+    previous : Spot or array_like, optional
+        The spot of the frame before, its centre, or points of its boundary: it is looked for there first.
 
     Raises
     ------
     SpotNotFound
         If there is none, or no telling which of several it is.
+    InputError
+        If the region or the previous spot is none.
     """
-    values = grey.values
-    if min(values.shape) < _MIN_SIDE:
-        raise SpotNotFound(NoSpotReason.IMAGE_TOO_SMALL, f"It has {values.shape[1]} x {values.shape[0]} pixels.")
-    candidates, rejection = _search(values, noise)
-    best = max(candidates, key=lambda found: found.strength, default=None)
+    if min(grey.shape) < _MIN_SIDE:
+        raise SpotNotFound(NoSpotReason.IMAGE_TOO_SMALL, f"It has {grey.shape[1]} x {grey.shape[0]} pixels.")
+    box = region_box(region, grey.shape)
+    beam = BeamHint(rig)
+    near = box_of_previous(previous, box)
+    if near is not None:
+        try:
+            return _find_in(grey, near, noise, kind, beam)
+        except SpotNotFound as nothing:
+            _log.debug("not where it was before: %s", nothing)
+    return _find_in(grey, box, noise, kind, beam)
+
+
+def _find_in(grey: Grey, box: Box, noise: float, kind: Kind | None, beam: BeamHint) -> Candidate:
+    found, rejected = _search(grey, box, noise, beam)
+    right = [candidate for candidate in found if kind in (None, candidate.kind)]
+    best = max(right or found, key=lambda candidate: candidate.strength, default=None)
     if best is None:
-        raise _explain(grey, rejection)
-    rivals = [found for found in candidates if found is not best and found.strength > _RIVAL * best.strength]
+        raise _explain(grey, rejected)
+    if not right:
+        raise SpotNotFound(NoSpotReason.WRONG_KIND, f"A {best.kind} was found at {_places([best])}, not a {kind}.")
+    rivals = [other for other in right if other is not best and other.strength > _RIVAL * best.strength]
     if rivals:
         raise SpotNotFound(NoSpotReason.SEVERAL, f"{len(rivals) + 1} were found, at {_places([best, *rivals])}.")
-    if best.touches_border:
-        raise SpotNotFound(NoSpotReason.TOUCHES_BORDER, f"Its centre is near {_places([best])}.")
-    if kind is not None and best.kind != kind:
-        raise SpotNotFound(NoSpotReason.WRONG_KIND, f"A {best.kind} was found at {_places([best])}, not a {kind}.")
     return best
-
-
-def _threshold(noise: float) -> float:
-    return max(_NOISE_FACTOR * noise, _MIN_CONTRAST)
 
 
 def _places(candidates: list[Candidate]) -> str:
     return ", ".join(f"({found.outline.x:.0f}, {found.outline.y:.0f})" for found in candidates)
 
 
-def _explain(grey: Grey, rejection: NoSpotReason | None) -> SpotNotFound:
+def _explain(grey: Grey, rejected: _Rejected) -> SpotNotFound:
     if grey.clipped is not None and grey.clipped.mean() > 0.5:
         return SpotNotFound(NoSpotReason.TOO_BRIGHT)
-    if rejection is not None:
-        return SpotNotFound(rejection)
+    if rejected.reason is not None:
+        return SpotNotFound(rejected.reason, f"It is near ({rejected.place[0]:.0f}, {rejected.place[1]:.0f}).")
     if np.quantile(grey.values, 0.999) < _DARK:
         return SpotNotFound(NoSpotReason.TOO_DARK)
     return SpotNotFound(NoSpotReason.NO_CONTRAST)
 
 
-def _search(values: NDArray[np.float32], noise: float) -> tuple[list[Candidate], NoSpotReason | None]:
-    """Return what looks like a spot at some level, one of each, and why the most striking other thing does not."""
-    factor = 1
-    while values.size / factor**2 > _SEARCH_PIXELS:
-        factor *= 2
-    if factor > 1:
-        height, width = values.shape
-        small = cv2.resize(values, (width // factor, height // factor), interpolation=cv2.INTER_AREA)
-    else:
-        small = values
-    # Smoothing by one pixel lowers white noise 3.5 times and joins the line of a noisy ring.
-    smooth = np.asarray(cv2.GaussianBlur(small, (0, 0), 1.0), dtype=np.float32)
-    low, high = float(np.median(smooth)), float(smooth.max())
-    found: list[Candidate] = []
-    rejected: list[tuple[float, NoSpotReason]] = []
-    threshold = _threshold(noise / factor)
-    for share in _LEVELS if high - low > threshold / 2 else ():
-        level = low + share * (high - low)
-        if level - low < 2 * noise / factor:
+def _search(grey: Grey, box: Box, noise: float, beam: BeamHint) -> tuple[list[Candidate], _Rejected]:
+    """Return what looks like a spot, one of each, and why the most striking other thing does not."""
+    wide = _padded(beam.box(box), grey.shape)
+    x0, y0, x1, y1 = wide
+    if min(x1 - x0, y1 - y0) < _MIN_SIDE:
+        return [], _Rejected()
+    levels = pyramid(grey.search[y0:y1, x0:x1], (x0, y0))
+    floor = max(_MIN_CONTRAST, noise) * grey.search_scale
+    first = 1 if (x1 - x0) * (y1 - y0) > _LARGE else 0
+    found, rejected = _judge(grey, levels, _starts(levels, range(first, len(levels)), floor, box, beam), noise, beam)
+    if not found and first > 0:
+        found, rejected = _judge(grey, levels, _starts(levels, range(first), floor, box, beam), noise, beam)
+    return found, rejected
+
+
+def _padded(box: Box, shape: tuple[int, int]) -> Box:
+    """Return a box with half of its size added on each side: the region holds the spot's centre, not all of it."""
+    x0, y0, x1, y1 = box
+    if x1 <= x0 or y1 <= y0:
+        return box
+    dx, dy = (x1 - x0) // 2, (y1 - y0) // 2
+    return max(x0 - dx, 0), max(y0 - dy, 0), min(x1 + dx, shape[1]), min(y1 + dy, shape[0])
+
+
+def _starts(levels: list[Level], which: range, floor: float, box: Box, beam: BeamHint) -> list[Ellipses]:
+    """Return the ellipses round bright places, for each level those that are found at it."""
+    starts = [Ellipses(np.empty((0, 2)), np.empty((0, 2, 2)))] * len(levels)
+    for index in which:
+        level = levels[index]
+        seeds, _ = level.peaks(floor, _SEEDS)
+        seeds = seeds[_inside(seeds, box) & beam.allows(seeds)]
+        if not len(seeds):
             continue
-        for mask, origin in _components(smooth > level):
-            outcome = _examine(smooth, mask, origin, threshold)
-            if isinstance(outcome, NoSpotReason):
-                rejected.append(((level - low) * np.sqrt(mask.sum()), outcome))
-            else:
-                found.append(outcome)
-    found.sort(key=lambda candidate: -candidate.strength)
-    distinct: list[Candidate] = []
-    for candidate in found:
-        if not any(_same(candidate.outline, other.outline) for other in distinct):
-            distinct.append(candidate)
-    striking = max(rejected, key=lambda pair: pair[0])[1] if rejected else None
-    return [_enlarged(candidate, factor) for candidate in distinct], striking
+        radius, height = edges_on_rays(level, seeds)
+        hope = promise(radius, height)
+        chosen = np.argsort(-hope, kind="stable")[:_LOOKED_AT]
+        chosen = chosen[hope[chosen] > floor / 2]
+        ellipses, share = ellipses_through(level, seeds[chosen], radius[chosen], height[chosen])
+        starts[index] = ellipses[share > _AGREE]
+    return starts
 
 
-def _same(one: Outline, other: Outline) -> bool:
-    """Whether two finds are one thing seen at two levels: one lies within the other."""
-    return np.hypot(one.x - other.x, one.y - other.y) < max(one.a, other.a)
-
-
-def _enlarged(candidate: Candidate, factor: int) -> Candidate:
-    e = candidate.outline
-    shift = (factor - 1) / 2  # pixel centres at integers in both
-    whole = Outline(e.x * factor + shift, e.y * factor + shift, e.a * factor, e.b * factor, e.angle)
-    return Candidate(whole, candidate.kind, candidate.contrast, candidate.line_width * factor, candidate.touches_border)
-
-
-def _components(mask: NDArray[np.bool_]) -> list[tuple[NDArray[Any], tuple[int, int]]]:
-    """Return the largest connected parts of a mask as small masks with the place (x, y) of their corner."""
-    pixels = mask.astype(np.uint8)
-    # Labelling costs by the area, and above the lowest levels nearly all of an image is dark.
-    left, top, wide, high = cv2.boundingRect(pixels)
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(pixels[top : top + high, left : left + wide], connectivity=8)
-    sides = stats[1:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]]
-    large = np.flatnonzero(sides.min(axis=1) >= _SEEN) + 1
-    boxes = stats[large]
-    order = np.argsort(-boxes[:, cv2.CC_STAT_WIDTH] * boxes[:, cv2.CC_STAT_HEIGHT], kind="stable")
-    parts = []
-    for index in large[order[:_COMPONENTS_PER_LEVEL]]:
-        x, y, width, height = (int(v) for v in stats[index, :4])
-        parts.append(((labels[y : y + height, x : x + width] == index).astype(np.uint8), (x + left, y + top)))
-    return parts
-
-
-def _examine(
-    smooth: NDArray[np.float32], mask: NDArray[Any], origin: tuple[int, int], threshold: float
-) -> Candidate | NoSpotReason:
-    padded = np.pad(mask, 1)
-    contours, _ = cv2.findContours(padded, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    outline = max(contours, key=len)[:, 0, :] + np.array(origin, dtype=np.float64) - 1
-    filled = np.zeros_like(padded)
-    cv2.drawContours(filled, contours, -1, 1, thickness=cv2.FILLED)
-    m = cv2.moments(filled, binaryImage=True)
-    area = m["m00"]
-    mean = np.array([m["m10"], m["m01"]]) / area + np.array(origin) - 1
-    # A pixel is a square, not a point: 1/12 on the diagonal.
-    spread = np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / area + np.eye(2) / 12
-    outer = from_moments(mean, spread)
-    if outer.b < _MIN_SEMI_AXIS:
-        return NoSpotReason.TOO_SMALL
-    touches = _touches_border(smooth.shape, origin, mask.shape)
-    # The outline runs through the outermost pixels' centres, half a pixel inside.
-    off = outer.distances(outline) + 0.5
-    if np.sqrt(np.mean(off**2)) > 0.7 + 0.03 * outer.size:
-        return NoSpotReason.TOUCHES_BORDER if touches and area < smooth.size / 4 else NoSpotReason.NOT_AN_ELLIPSE
-    return _judge(smooth, outer, np.sqrt(1 - float(mask.sum()) / area), touches, threshold)
-
-
-def _touches_border(shape: tuple[int, ...], origin: tuple[int, int], size: tuple[int, ...]) -> bool:
-    x, y = origin
-    return x < 2 or y < 2 or x + size[1] > shape[1] - 2 or y + size[0] > shape[0] - 2
+def _inside(places: Array, box: Box) -> NDArray[np.bool_]:
+    x0, y0, x1, y1 = box
+    return np.all((places >= [x0 - 0.5, y0 - 0.5]) & (places <= [x1 - 0.5, y1 - 0.5]), axis=1)
 
 
 def _judge(
-    smooth: NDArray[np.float32], outer: Outline, hollow: float, touches: bool, threshold: float
-) -> Candidate | NoSpotReason:
-    """Measure the height of the edge and tell a disc from a ring; `hollow` is the hole's radius over the outer one."""
-    middle = outer.grown((1 + hollow) / 2) if hollow > 0.3 else outer
-    count = 64
-    points, normals, _ = middle.normals_at(count)
-    gap = max(3.0, (1 - hollow) * outer.b if hollow > 0.3 else 0.0)
-    depths = np.array([-min(gap, 0.6 * middle.b), 0.0, gap])
-    places = points[:, None, :] + normals[:, None, :] * depths[:, None]
-    maps = places.astype(np.float32)
-    levels = cv2.remap(smooth, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    inside, on, outside = np.median(levels, axis=0)
-    ring = hollow > 0.3 and inside - outside < 0.5 * (on - outside)
-    contrast = float(on - max(inside, outside) if ring else inside - outside)
-    # All of the edge counts, not its better half: a quarter of the profiles may fail.
-    edges = levels[:, 1] - levels[:, [0, 2]].max(axis=1) if ring else levels[:, 0] - levels[:, 2]
-    if contrast < threshold or np.quantile(edges, 0.25) < threshold / 2:
-        return NoSpotReason.NO_CONTRAST
-    if not ring:
-        return Candidate(outer, "disc", contrast, 0.0, touches)
-    return Candidate(middle, "ring", contrast, (1 - hollow) * outer.size, touches)
+    grey: Grey, levels: list[Level], starts: list[Ellipses], noise: float, beam: BeamHint
+) -> tuple[list[Candidate], _Rejected]:
+    traced = trace(levels, starts)
+    if not len(traced):
+        return [], _Rejected()
+    misfit = beam.misfit(traced.ellipses)
+    contrast = traced.height / grey.search_scale
+    threshold = max(_NOISE_FACTOR * noise, _MIN_CONTRAST)
+    verdicts = _verdicts(traced, contrast, misfit, threshold)
+    rank = traced.ellipses.size * np.sqrt(contrast) * traced.support**2 * traced.sharpness / (1 + misfit**2)
+    good = np.array([verdict is None for verdict in verdicts])
+    candidates = []
+    for index in _distinct(traced.ellipses, np.where(good, rank, 0))[:_JUDGED]:
+        look = look_at(levels, traced.ellipses[np.array([index])])
+        candidates.append(_candidate(look, traced, index, float(rank[index]), grey))
+    _log.debug(
+        "%d ellipses, %d of them no spots (%d off the beam), %d distinct",
+        len(traced),
+        int(np.sum(~good)),
+        int(np.sum(np.isinf(misfit))),
+        len(candidates),
+    )
+    striking = [(traced.height[i] * traced.ellipses.size[i], i) for i, bad in enumerate(verdicts) if bad is not None]
+    if not striking:
+        return candidates, _Rejected()
+    worst = max(striking)[1]
+    x, y = traced.ellipses.centre[worst].tolist()
+    return candidates, _Rejected(verdicts[worst], (x, y))
+
+
+def _verdicts(traced: Traced, contrast: Array, misfit: Array, threshold: float) -> list[NoSpotReason | None]:
+    """Return for each ellipse why it is no spot, or None."""
+    small = (traced.ellipses.size < _MIN_SIZE) | (traced.ellipses.semi_axes[:, 1] < _MIN_MINOR)
+    cut = (traced.outside > _MAX_OUTSIDE) | ((traced.outside > 0.1) & (traced.support < _MIN_SUPPORT))
+    shapeless = (traced.support < _MIN_SUPPORT) | (traced.beyond > _MAX_BEYOND)
+    faint = contrast < threshold * 0.5
+    rules = (
+        (faint, NoSpotReason.NO_CONTRAST),
+        (small, NoSpotReason.TOO_SMALL),
+        (cut, NoSpotReason.TOUCHES_BORDER),
+        (shapeless, NoSpotReason.NOT_AN_ELLIPSE),
+        (np.isinf(misfit), NoSpotReason.OFF_BEAM),
+    )
+    return [next((reason for rule, reason in rules if rule[index]), None) for index in range(len(traced))]
+
+
+def _distinct(ellipses: Ellipses, rank: Array) -> list[int]:
+    """Return the best of each heap of ellipses that lie within one another, best first."""
+    kept: list[int] = []
+    size = ellipses.semi_axes[:, 0]
+    for index in np.argsort(-rank, kind="stable").tolist():
+        if rank[index] <= 0:
+            break
+        apart = np.linalg.norm(ellipses.centre[kept] - ellipses.centre[index], axis=1) if kept else np.empty(0)
+        if np.all(apart >= np.maximum(size[kept], size[index])):
+            kept.append(index)
+    return kept
+
+
+def _candidate(look: Look, traced: Traced, index: int, strength: float, grey: Grey) -> Candidate:
+    light = np.maximum(np.array([look.high, look.low]) / grey.search_scale, 0)
+    if grey.image.dtype.kind == "u" and grey.dark is None:
+        light = light**grey.gamma
+    return Candidate(
+        outline=look.outline,
+        kind=look.kind,
+        contrast=float(light[0] - light[1]),
+        line_width=look.line_width,
+        touches_border=bool(traced.outside[index] > 0),
+        support=float(traced.support[index]),
+        strength=strength,
+    )

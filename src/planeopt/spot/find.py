@@ -1,6 +1,7 @@
 """Image in, spot out."""
 
 import logging
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,9 @@ def find_spot(
     rig: Rig | None = None,
     *,
     kind: Kind | None = None,
+    region: Sequence[float] | None = None,
+    previous: Spot | ArrayLike | None = None,
+    dark: ArrayLike | None = None,
     camera_blur: float | None = None,
     level: float | None = None,
     channel: str | None = None,
@@ -38,18 +42,26 @@ def find_spot(
 ) -> Spot:
     """Find the laser spot in an image and measure its boundary to a small fraction of a pixel.
 
-    A clean disc or ring on a darker surface, whole in the image. The boundary is measured along about one normal per
-    pixel of its length: an error function (a Gaussian ridge) with its own background and brightness on each normal, one
-    width shared round the spot, corrected for what blur does to a curved boundary.
+    A disc or ring on a darker surface; up to a third of it may be hidden or lie off the image. The boundary is measured
+    along about one normal per pixel of its length: an error function (a Gaussian ridge) with its own background and
+    brightness on each normal, one width shared round the spot, corrected for what blur does to a curved boundary.
 
     Parameters
     ----------
     image : (H, W), (H, W, 3) or (H, W, 4) array
         Unsigned integers or floats; colour as OpenCV orders it: blue, green, red.
     rig : Rig, optional
-        Its ``spot`` says what the boundary is (kind, level, channel, gamma), its camera how large the image must be.
+        Its ``spot`` says what the boundary is (kind, level, channel, gamma), its camera how large the image must be,
+        and its beam where in the image the spot can lie.
     kind : {"disc", "ring"}, optional
         Overrides the rig's. If nobody says, it is told from the image.
+    region : sequence of four numbers, optional
+        ``(x0, y0, x1, y1)``, px: the part of the image where the spot's centre is.
+    previous : Spot or array_like, optional
+        The spot in the frame before, its centre ``(x, y)``, or points of its boundary (N, 2), px. It is looked for
+        there first, which is faster, and elsewhere if it is not there.
+    dark : array_like, optional
+        The same view with the laser off, of the same shape and type; it is subtracted, in linear light.
     camera_blur : float, optional
         Standard deviation of what optics and pixels blur, px, if known. It matters for small spots with a boundary that
         is soft by itself, rings above all (`SpotFlag.OWN_WIDTH`).
@@ -68,7 +80,8 @@ def find_spot(
     SpotNotFound
         If there is no spot, no single one, or none that can be measured; carries the reason.
     InputError
-        If the array is not an image, not of the rig's size, or the rig defines its spot otherwise than asked for.
+        If an array is not an image, not of the rig's size, the region does not lie in it, or the rig defines its
+        spot otherwise than asked for.
     """
     definition = _definition(rig, {"level": level, "channel": channel, "gamma": gamma})
     if camera_blur is not None and not 0 < camera_blur < np.inf:
@@ -76,14 +89,15 @@ def find_spot(
     said = kind if kind is not None else _kind(rig)
     if said not in (None, "disc", "ring"):
         raise InputError(f'kind must be "disc" or "ring", not {said!r}')
-    grey = to_grey(image, definition.channel, definition.gamma)
+    grey = to_grey(image, definition.channel, definition.gamma, dark)
     if rig is not None:
-        _check_size(grey.values.shape, rig, source)
-    noise = pixel_noise(grey.values)
-    candidate = find_candidate(grey, noise, said)
+        _check_size(grey.shape, rig, source)
+    noise = pixel_noise(grey.values, grey.quantum)
+    candidate = find_candidate(grey, noise, said, rig=rig, region=region, previous=previous)
     boundary = measure_boundary(
-        grey.values,
+        grey,
         candidate,
+        noise=noise,
         level=definition.level,
         camera_blur=camera_blur,
         straighten=None if rig is None else _straighten(rig.camera),
@@ -105,6 +119,8 @@ def find_spot(
         contrast=boundary.height,
         blur=boundary.width,
         saturation=saturation,
+        noise=boundary.noise,
+        rejected=boundary.rejected,
         flags=_flags(boundary, noise, saturation, said is None and candidate.kind == "ring"),
         source=source,
     )
@@ -149,18 +165,15 @@ def _check_size(shape: tuple[int, ...], rig: Rig, source: str | None) -> None:
 
 def _saturation(grey: Grey, boundary: Boundary) -> float | None:
     """Return the share of clipped pixels where the spot is bright: above half its height."""
-    if grey.clipped is None:
-        return None
-    region = _around(grey.values, boundary)
-    bright = region > boundary.background + boundary.height / 2
-    clipped = _around(grey.clipped, boundary) & bright
-    return float(clipped.sum() / max(int(bright.sum()), 1))
-
-
-def _around(values: NDArray[Any], boundary: Boundary) -> NDArray[Any]:
     x, y = boundary.outline.x, boundary.outline.y
     wide, high = boundary.outline.grown(1.1).extent
-    return values[max(int(y - high), 0) : int(y + high) + 2, max(int(x - wide), 0) : int(x + wide) + 2]
+    height, width = grey.shape
+    box = (max(int(x - wide), 0), max(int(y - high), 0), min(int(x + wide) + 2, width), min(int(y + high) + 2, height))
+    clipped = grey.crop_clipped(box)
+    if clipped is None:
+        return None
+    bright = grey.crop(box) > boundary.background + boundary.height / 2
+    return float((clipped & bright).sum() / max(int(bright.sum()), 1))
 
 
 def _flags(boundary: Boundary, noise: float, saturation: float | None, ring_assumed: bool) -> tuple[SpotFlag, ...]:

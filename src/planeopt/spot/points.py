@@ -55,6 +55,7 @@ class NoSpotReason(Enum):
     TOO_SMALL = "What stands out is too small to be measured as a spot."
     TOUCHES_BORDER = "The spot touches the border of the image."
     NOT_AN_ELLIPSE = "What stands out from its surroundings is not an ellipse."
+    OFF_BEAM = "What looks like a spot is not where this rig's beam can put one; or the rig has moved."
     SEVERAL = "Several things in the image look like a spot."
     WRONG_KIND = "The spot is not of the kind asked for."
     NO_BOUNDARY = "Something like a spot is there, but too little of its boundary can be measured."

@@ -1,0 +1,132 @@
+"""The image at every scale, and what in it is brighter than its surroundings."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.floating]
+
+_INNER, _OUTER = 5, 17  # px of a level: the boxes whose means are compared, for spots of 3 to 8 px
+_APART = 5  # px of a level: peaks closer than half of that are one
+_SIGNIFICANT = 5.0  # standard deviations of white noise
+_NOISE_SAMPLE = 200_000  # pixels that say enough about noise
+_MIN_LEVEL = 20  # px: the shortest side of a level
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """An image at one scale.
+
+    Parameters
+    ----------
+    image : (H, W) array
+        uint8, uint16 or float32.
+    factor : int
+        How many pixels of the whole image make one of this, along a side.
+    origin : (2,) array
+        Where its first pixel's corner lies in the whole image, px; corners are at half integers.
+    """
+
+    image: NDArray[Any]
+    factor: int
+    origin: Array
+
+    @cached_property
+    def noise(self) -> float:
+        """Standard deviation of a pixel, in units of the image."""
+        return pixel_noise(self.image, 1.0 if self.image.dtype.kind == "u" else 0.0)
+
+    @cached_property
+    def smooth(self) -> NDArray[Any]:
+        """The image smoothed over 3 x 3 pixels; it lowers white noise 2.7 times."""
+        return np.asarray(cv2.GaussianBlur(self.image, (3, 3), 0))
+
+    def local(self, points: Array) -> Array:
+        """Return points of the whole image, (..., 2), in pixels of this level."""
+        return (points - self.origin) / self.factor - 0.5
+
+    def sample(self, points: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Return the grey values (..., ) at points (..., 2) of the whole image, and which of them are on this one."""
+        local = self.local(points)
+        height, width = self.image.shape
+        there = np.all((local >= -0.5) & (local <= [width - 0.5, height - 0.5]), axis=-1)
+        maps = local.reshape(len(local), -1, 2).astype(np.float32) if local.size else np.zeros((1, 1, 2), np.float32)
+        found = cv2.remap(self.smooth, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.reshape(np.asarray(found, dtype=np.float64).ravel()[: there.size], there.shape), there
+
+    def peaks(self, floor: float, most: int) -> tuple[Array, Array]:
+        """Return the places (N, 2), px of the whole image, that are bright against their surroundings, and by how much.
+
+        Parameters
+        ----------
+        floor : float
+            The least that counts, in units of the image.
+        most : int
+            No more than that many, the brightest.
+        """
+        inner = cv2.blur(self.image, (_INNER, _INNER))
+        response = np.asarray(cv2.subtract(inner, cv2.blur(self.image, (_OUTER, _OUTER))))
+        spread = self.noise * np.sqrt(1 / _INNER**2 - 1 / _OUTER**2)
+        threshold = max(floor, _SIGNIFICANT * spread)
+        highest = cv2.dilate(response, np.ones((_APART, _APART), np.uint8))
+        strong = np.asarray(response >= threshold, dtype=np.uint8)
+        mask = cv2.bitwise_and(cv2.compare(response, highest, cv2.CMP_GE), strong)
+        found = cv2.findNonZero(mask)
+        if found is None:
+            return np.empty((0, 2)), np.empty(0)
+        places = np.asarray(found, dtype=np.intp).reshape(-1, 2)
+        heights = response[places[:, 1], places[:, 0]].astype(np.float64)
+        chosen = np.argsort(-heights, kind="stable")[:most]
+        return (places[chosen] + 0.5) * self.factor + self.origin, heights[chosen]
+
+
+def pixel_noise(values: NDArray[Any], quantum: float = 0.0) -> float:
+    """Return the standard deviation of the pixels' noise, robust against the image's content.
+
+    From the second differences along rows, whose noise is sqrt(6) times the pixels' (Immerkaer, Computer Vision and
+    Image Understanding 64, 1996, in one dimension, with the median absolute value).
+
+    Parameters
+    ----------
+    values : (H, W) array
+    quantum : float
+        The step to which the values were rounded: the median is taken of what they may have been before.
+    """
+    step = max(1, values.size // _NOISE_SAMPLE)
+    sample = values[::step].astype(np.float32)
+    second = np.abs(sample[:, :-2] - 2 * sample[:, 1:-1] + sample[:, 2:])
+    return _median(second, quantum) / (0.6745 * np.sqrt(6.0)) if second.size else 0.0
+
+
+def _median(values: NDArray[np.float32], quantum: float) -> float:
+    median = float(np.median(values))
+    if quantum <= 0 or median < quantum / 2:
+        return median
+    below, above = float(np.mean(values < median - quantum / 2)), float(np.mean(values < median + quantum / 2))
+    return median + quantum * ((0.5 - below) / (above - below) - 0.5) if above > below else median
+
+
+def pyramid(image: NDArray[Any], origin: tuple[int, int]) -> list[Level]:
+    """Return an image and its halvings, down to the smallest that can hold a spot.
+
+    Parameters
+    ----------
+    image : (H, W) array
+    origin : tuple of int
+        The whole image's pixel ``(x, y)`` that is the first of this.
+    """
+    corner = np.array(origin) - 0.5
+    levels = [Level(image, 1, corner)]
+    while min(image.shape) >= 2 * _MIN_LEVEL:
+        height, width = image.shape[0] // 2, image.shape[1] // 2
+        # An odd last row or column is left out: what remains is halved exactly.
+        image = np.asarray(cv2.resize(image[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA))
+        if len(levels) == 1 and image.dtype.kind == "u":
+            # A quarter of the pixels: means need not be rounded any more.
+            image = image.astype(np.float32)
+        levels.append(Level(image, 2 ** len(levels), corner))
+    return levels

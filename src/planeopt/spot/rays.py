@@ -1,0 +1,140 @@
+"""From places that are brighter than their surroundings to ellipses: the edges on rays from each, and what fits them.
+
+The rays see a spot that is partly hidden, split by a bar, or touched by something brighter: most of its edge is there,
+and the ellipse through most of the edges is found by trying many fives of them (Fischler and Bolles, Communications of
+the ACM 24, 1981; rays from a seed: Li, Winfield, Parkhurst, Starburst, CVPR Workshops 2005).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planeopt.spot.ellipses import Ellipses
+from planeopt.spot.pyramid import Level
+
+Array = NDArray[np.floating]
+
+_RAYS = 32
+_REACH = 17  # px of the level: twice the largest spot of a level, and some way off its centre
+_FIVES = 96
+_TOLERANCE = 0.7, 0.07  # px of the level, and of the radius
+_SIGNIFICANT = 0.4  # of the typical edge: less is not looked at
+_MIN_RADIUS = 1.5  # px of the level
+_MAX_RATIO = 14.0  # of the axes
+
+
+def _fives() -> NDArray[np.intp]:
+    """Return fives of rays (F, 5), spread over arcs of half to all of the circle; always the same."""
+    rng = np.random.default_rng(20)
+    widths = np.linspace(0.5, 1.0, _FIVES) * _RAYS
+    start = rng.integers(0, _RAYS, _FIVES)
+    steps = (np.arange(5) + rng.uniform(-0.35, 0.35, (_FIVES, 5))) * widths[:, None] / 5
+    return (start[:, None] + np.rint(steps).astype(np.intp)) % _RAYS
+
+
+_THETA = 2 * np.pi * np.arange(_RAYS) / _RAYS
+_COS, _SIN = np.cos(_THETA), np.sin(_THETA)
+_FIVE_RAYS = _fives()
+_ODD = np.arange(_FIVES) % 3 == 0
+
+
+def edges_on_rays(level: Level, seeds: Array) -> tuple[Array, Array]:
+    """Return the two most likely edges on each ray, from bright to dark going outwards.
+
+    Parameters
+    ----------
+    level : Level
+    seeds : (K, 2) array
+        Where the rays start, px of the whole image.
+
+    Returns
+    -------
+    radius : (K, R, 2) array
+        Of the strongest fall, and of the first that is nearly significant; px of the level, NaN where there is none.
+    height : (K, R, 2) array
+        By how much the grey value falls across three pixels, 0 where there is none.
+    """
+    t = np.arange(_REACH, dtype=np.float64)
+    directions = np.stack([_COS, _SIN], axis=1)
+    places = seeds[:, None, None, :] + level.factor * t[:, None] * directions[:, None, :]
+    grey, there = level.sample(places)
+    # Means of two samples, three apart: the fall half way between samples k + 1 and k + 2.
+    fall = (grey[..., :-3] + grey[..., 1:-2] - grey[..., 2:-1] - grey[..., 3:]) / 2
+    fall = np.where(there[..., 3:], np.maximum(fall, 0), 0)
+    inner, outer = np.zeros_like(fall), np.zeros_like(fall)
+    inner[..., 1:], outer[..., :-1] = fall[..., :-1], fall[..., 1:]
+    # An edge right at the start is half seen and still one.
+    top = (fall >= inner) & (fall > outer)
+    peaks = np.where(top, fall, 0)
+    strongest = peaks.argmax(axis=2)
+    height = np.take_along_axis(peaks, strongest[..., None], axis=2)[..., 0]
+    typical = np.median(height, axis=1)[:, None, None]
+    first = (peaks > _SIGNIFICANT * np.minimum(typical, height[..., None]) + 1e-9).argmax(axis=2)
+    index = np.stack([strongest, first], axis=2)
+    at, before, after = (np.take_along_axis(values, index, axis=2) for values in (peaks, inner, outer))
+    bend = 2 * at - before - after
+    fine = np.where(bend > 0, (after - before) / (2 * np.where(bend > 0, bend, 1)), 0)
+    return np.where(at > 0, index + 1.5 + np.clip(fine, -0.5, 0.5), np.nan), at
+
+
+def promise(radius: Array, height: Array) -> Array:
+    """Return (K,) how much each seed's edges look like those of a spot; to choose those that are worth a closer look.
+
+    The height that all but a third of the rays exceed: a peak on a line or at a corner has edges on few.
+    """
+    return np.quantile(height[..., 0], 1 / 3, axis=1) * np.sqrt(np.nan_to_num(np.nanmedian(radius[..., 0], axis=1)))
+
+
+def ellipses_through(level: Level, seeds: Array, radius: Array, height: Array) -> tuple[Ellipses, Array]:
+    """Return the ellipse that most of the edges round each seed agree on, and the share of rays (K,) that do.
+
+    With the seed inside, the conic ``q0 + q1 cos 2t + q2 sin 2t + w (q3 cos t + q4 sin t) = w^2`` in the inverse radius
+    ``w`` is linear in its five coefficients, and solved exactly for five rays.
+    """
+    w = 1 / np.maximum(np.where(np.isfinite(radius), radius, 1e3), 0.5)
+    five = np.where(_ODD[None, :, None], w[:, _FIVE_RAYS, 1], w[:, _FIVE_RAYS, 0])
+    basis = np.stack([np.ones(_RAYS), np.cos(2 * _THETA), np.sin(2 * _THETA), _COS, _SIN], axis=1)[_FIVE_RAYS]
+    system = np.broadcast_to(basis, (*five.shape, 5)).copy()
+    system[..., 3:] *= five[..., None]
+    # A ridge far below rounding of the edges' places keeps a five with two equal rays solvable.
+    q = np.linalg.solve(system + 1e-9 * np.eye(5), (five**2)[..., None])[..., 0]
+    even = q[..., :3] @ np.stack([np.ones(_RAYS), np.cos(2 * _THETA), np.sin(2 * _THETA)])
+    odd = q[..., 3:] @ np.stack([_COS, _SIN])
+    root = odd**2 + 4 * even
+    predicted = 2 / np.maximum(odd + np.sqrt(np.maximum(root, 0)), 1e-6)
+    tolerance = _TOLERANCE[0] + _TOLERANCE[1] * predicted
+    weight = np.minimum(height / np.maximum(np.median(height[..., 0], axis=1), 1e-9)[:, None, None], 1.0)
+    miss = (predicted[..., None] - radius[:, None]) / tolerance[..., None]
+    credit = np.where(np.isfinite(miss), np.maximum(1 - miss**2, 0), 0) * weight[:, None]
+    share = credit.max(axis=3).mean(axis=2)
+    found, good = _geometric(q)
+    share = np.where(good & (root > 0).all(axis=2), share, 0)
+    best = share.argmax(axis=1)
+    rows = np.arange(len(seeds))
+    centre, shape = found.centre.reshape(*share.shape, 2), found.shape.reshape(*share.shape, 2, 2)
+    chosen = Ellipses(seeds + level.factor * centre[rows, best], level.factor * shape[rows, best])
+    return chosen, share[rows, best]
+
+
+def _geometric(q: Array) -> tuple[Ellipses, NDArray[np.bool_]]:
+    """Return the ellipses of coefficients (..., 5), flattened, and which (...) of them are ellipses of some size."""
+    # q0 + q1 cos 2t + ... times r^2:  x' M x + m x = 1.
+    M = np.stack([q[..., 0] + q[..., 1], q[..., 2], q[..., 2], q[..., 0] - q[..., 1]], axis=-1).reshape(-1, 2, 2)
+    m = q[..., 3:].reshape(-1, 2)
+    determinant = np.linalg.det(M)
+    real = (determinant > 1e-12) & (M[:, 0, 0] > 0)
+    M = np.where(real[:, None, None], M, np.eye(2))
+    inverse = np.linalg.inv(M)
+    centre = -(inverse @ m[..., None])[..., 0] / 2
+    level = 1 - np.einsum("ki,ki->k", m, centre) / 2
+    # The symmetric root of a positive matrix: shape shape' = inverse * level.
+    squared = inverse * np.maximum(level, 1e-12)[:, None, None]
+    root = np.sqrt(np.maximum(np.linalg.det(squared), 1e-24))
+    trace = np.sqrt(np.maximum(squared[:, 0, 0] + squared[:, 1, 1] + 2 * root, 1e-24))
+    shape = (squared + root[:, None, None] * np.eye(2)) / trace[:, None, None]
+    # Of the symmetric shape trace and determinant are the sum and the product of the semi-axes.
+    a = trace / 2 + np.sqrt(np.maximum(trace**2 / 4 - root, 0))
+    b = root / np.maximum(a, 1e-12)
+    good = (
+        real & (level > 0) & (b > _MIN_RADIUS / 2) & (a < 3 * _REACH) & (a < _MAX_RATIO * b) & (root > _MIN_RADIUS**2)
+    )
+    return Ellipses(centre, shape), good.reshape(q.shape[:-1])

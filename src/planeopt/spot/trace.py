@@ -1,0 +1,206 @@
+"""Ellipses drawn onto the edges near them, from a coarse scale to a fine one, and how well they hold.
+
+One judge for all that the search comes up with: along the normals of an ellipse there is a fall in brightness, of
+the right sign, of about the same height as elsewhere, and where the ellipse says. Too many that are missing, or that
+lie off by more than the noise explains, and it is not a spot.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planeopt.spot.ellipses import Ellipses, joined
+from planeopt.spot.pyramid import Level
+
+Array = NDArray[np.floating]
+
+_NORMALS = 64
+_WINDOW = 3.0  # px of the level: how far off an edge is looked for
+_STEP = 0.75  # px of the level
+_ROUNDS = 3
+_FINE = 56.0  # px: no level is needed on which a spot is larger
+_SOFT = 0.6  # of the height at the level before: an edge that is lower at the finer level has nothing finer to show
+_HEIGHT = 0.35  # of the typical height: what is less is not the same edge
+_TOLERANCE = 0.35, 0.02  # px of the level, and of the radius: what an ellipse may be off by itself
+_JITTER = 2.5  # by what the noise of the edges adds to that,
+_MAX_JITTER = 0.5, 0.04  # up to so many px, and of the radius
+
+
+@dataclass(frozen=True, eq=False)
+class Traced:
+    """K ellipses and what the image says of them.
+
+    Parameters
+    ----------
+    ellipses : Ellipses
+    height : (K,) array
+        The typical fall across three pixels of the level, in units of the image.
+    support : (K,) array
+        Share of the boundary that is seen: of the right height, in the right place.
+    beyond : (K,) array
+        Share of the boundary beyond which it is as bright as inside.
+    outside : (K,) array
+        Share of the boundary that lies off the image.
+    sharpness : (K,) array
+        The height at the level that the size asks for over the greatest at any: 1 is an edge, 0.1 a soft hill.
+    """
+
+    ellipses: Ellipses
+    height: Array
+    support: Array
+    beyond: Array
+    outside: Array
+    sharpness: Array
+
+    def __len__(self) -> int:
+        return len(self.ellipses)
+
+    def __getitem__(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> "Traced":
+        return Traced(
+            self.ellipses[index],
+            self.height[index],
+            self.support[index],
+            self.beyond[index],
+            self.outside[index],
+            self.sharpness[index],
+        )
+
+
+def trace(levels: list[Level], starts: list[Ellipses]) -> Traced:
+    """Return all ellipses followed to the finest level that their size asks for and their edge has something for.
+
+    Parameters
+    ----------
+    levels : list of Level
+        From fine to coarse.
+    starts : list of Ellipses
+        Found at each of the levels, good to a pixel of it or two.
+    """
+    done: list[Traced] = []
+    moving: Traced | None = None
+    for index in range(len(levels) - 1, -1, -1):
+        level = levels[index]
+        parts: list[Traced] = []
+        if moving is not None and len(moving):
+            followed = _sharper(moving, _follow(level, moving.ellipses))
+            soft = followed.height < _SOFT * moving.height
+            # The heights fall by half from level to level once the edge is softer than a pixel.
+            done.append(replace(moving, sharpness=_fallen(followed, level))[soft])
+            parts.append(followed[~soft])
+        if len(starts[index]):
+            parts.append(_follow(level, starts[index]))
+        moving = _together(parts) if parts else None
+        if moving is not None and len(moving):
+            fine = (moving.ellipses.size / level.factor > _FINE / 2) | (index == 0)
+            done.append(moving[fine])
+            moving = moving[~fine]
+    return _together(done)
+
+
+def _sharper(before: Traced, after: Traced) -> Traced:
+    return replace(after, sharpness=np.minimum(1.0, before.sharpness * after.height / np.maximum(before.height, 1e-9)))
+
+
+def _fallen(after: Traced, level: Level) -> Array:
+    """Return the sharpness (K,) at the finest level, if the height goes on to fall by half from level to level."""
+    finest = np.maximum(np.ceil(np.log2(np.maximum(after.ellipses.size / _FINE, 1.0))), 0)
+    return after.sharpness * 0.5 ** np.maximum(np.log2(level.factor) - finest, 0)
+
+
+def _together(parts: list[Traced]) -> Traced:
+    names = ("height", "support", "beyond", "outside", "sharpness")
+    rest = {name: np.concatenate([np.empty(0), *(getattr(part, name) for part in parts)]) for name in names}
+    return Traced(joined([part.ellipses for part in parts]), **rest)
+
+
+def _follow(level: Level, ellipses: Ellipses) -> Traced:
+    """Move ellipses to the edges within a few pixels of a level, and judge them there."""
+    for _ in range(_ROUNDS):
+        offset, height, seen, _, normals, share = _edges(level, ellipses)
+        points, _, _ = ellipses.at(_NORMALS)
+        weight = share * np.minimum(height / _typical(height, seen)[:, None], 1.0) * seen
+        ellipses = adjusted(ellipses, points, normals, offset * level.factor, weight, level.factor)
+    offset, height, seen, beyond, _, share = _edges(level, ellipses)
+    typical = _typical(height, seen)
+    size = ellipses.size / level.factor
+    limit = _TOLERANCE[0] + _TOLERANCE[1] * size
+    limit = limit + np.minimum(_JITTER * _jitter(offset, height, typical), _MAX_JITTER[0] + _MAX_JITTER[1] * size)
+    good = seen & (height > _HEIGHT * typical[:, None]) & (np.abs(offset) < limit[:, None])
+    # The edge that counts is the one that the ellipse is drawn on, not something stronger beside it.
+    typical = np.where(good.sum(axis=1) > _NORMALS // 4, _typical(height, good), typical)
+    good &= height > _HEIGHT * typical[:, None]
+    return Traced(
+        ellipses,
+        typical,
+        (share * good).sum(axis=1),
+        (share * (~good & seen & (beyond > 0.5 * typical[:, None]))).sum(axis=1),
+        (share * ~seen).sum(axis=1),
+        np.ones(len(ellipses)),
+    )
+
+
+def _edges(level: Level, ellipses: Ellipses) -> tuple[Array, Array, NDArray[np.bool_], Array, Array, Array]:
+    """Return where along each normal (K, N) the brightness falls most, px of the level, and by how much.
+
+    Further: which normals are on the image, how much brighter than the darkest it is at their outer end, the normals
+    (K, N, 2) themselves and the share of the boundary that each stands for.
+    """
+    points, normals, share = ellipses.at(_NORMALS)
+    # Past the middle of a narrow ellipse lies its other side.
+    reach = np.minimum(_WINDOW, 0.5 * ellipses.semi_axes[:, 1] / level.factor + 1)
+    half = int(np.ceil((_WINDOW + 1.5) / _STEP))
+    t = np.arange(-half, half + 1) * _STEP
+    grey, there = level.sample(points[:, :, None] + level.factor * t[:, None] * normals[:, :, None])
+    seen = np.all(there, axis=2)
+    # Means of two samples, four apart: the fall across three pixels.
+    fall = (grey[..., :-5] + grey[..., 1:-4] - grey[..., 4:-1] - grey[..., 5:]) / 2
+    middle = t[:-5] + 2.5 * _STEP
+    near = np.clip(1.3 - 0.5 * np.abs(middle) / reach[:, None], 0, 1) * (np.abs(middle) <= reach[:, None])
+    best = (fall * near[:, None]).argmax(axis=2)[..., None]
+    at = np.take_along_axis(fall, best, axis=2)[..., 0]
+    last = len(middle) - 1
+    before = np.take_along_axis(fall, np.maximum(best - 1, 0), axis=2)[..., 0]
+    after = np.take_along_axis(fall, np.minimum(best + 1, last), axis=2)[..., 0]
+    bend = 2 * at - before - after
+    fine = np.where(bend > 0, (after - before) / (2 * np.where(bend > 0, bend, 1)), 0)
+    offset = middle[best[..., 0]] + _STEP * np.clip(fine, -0.5, 0.5)
+    beyond = grey[..., -1] - np.quantile(grey[..., -1], 0.25, axis=1)[:, None]
+    return offset, np.maximum(at, 0), seen, beyond, normals, share
+
+
+def _typical(height: Array, which: NDArray[np.bool_]) -> Array:
+    """Return the median height (K,) of those that count, or a little more than nothing."""
+    masked = np.where(which, height, np.nan)
+    masked[~which.any(axis=1)] = 0
+    return np.maximum(np.nanmedian(masked, axis=1), 1e-9)
+
+
+def _jitter(offset: Array, height: Array, typical: Array) -> Array:
+    """Return the scatter (K,) of the edges' places from one normal to the next, which no smooth shape makes."""
+    second = np.abs(np.roll(offset, 1, axis=1) - 2 * offset + np.roll(offset, -1, axis=1))
+    there = height > _HEIGHT * typical[:, None]
+    return _typical(second, there & np.roll(there, 1, axis=1) & np.roll(there, -1, axis=1)) / (0.6745 * np.sqrt(6.0))
+
+
+def adjusted(ellipses: Ellipses, points: Array, normals: Array, offset: Array, weight: Array, pixel: float) -> Ellipses:
+    """Return ellipses moved to fit the offsets (K, N) along their normals, what lies off counting less and less."""
+    local = points - ellipses.centre[:, None, :]
+    scale = np.maximum(ellipses.size, 1e-6)[:, None]
+    x, y = local[..., 0] / scale, local[..., 1] / scale
+    nx, ny = normals[..., 0], normals[..., 1]
+    design = np.stack([nx, ny, nx * x, ny * y, nx * y + ny * x], axis=-1)
+    change = np.zeros((len(ellipses), 5))
+    for _ in range(4):
+        residual = offset - (design @ change[..., None])[..., 0]
+        spread = np.median(np.abs(residual), axis=1, keepdims=True) * 1.5 + 0.25 * pixel
+        use = weight * np.clip(1 - (residual / (3 * spread)) ** 2, 0, 1) ** 2
+        normal = np.einsum("kni,kn,knj->kij", design, use, design)
+        ridge = 1e-3 * np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1e-9
+        right = np.einsum("kni,kn->ki", design, use * offset)
+        change = np.linalg.solve(normal + ridge * np.eye(5), right[..., None])[..., 0]
+    limit = _WINDOW * pixel
+    change = np.clip(change, -limit, limit)
+    s = change[:, 2:] / scale
+    stretch = np.stack([s[:, 0], s[:, 2], s[:, 2], s[:, 1]], axis=-1).reshape(-1, 2, 2)
+    return ellipses.moved(change[:, :2], np.clip(stretch, -0.5, 0.5))
