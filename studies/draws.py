@@ -167,6 +167,15 @@ class Lit:
     clip: float
 
     @property
+    def known_blur(self) -> float | None:
+        """The camera's own blur, px, which has to be known to measure a ring: see docs/measurement.md."""
+        return (
+            float(np.hypot(self.scene.optics.blur_px, np.sqrt(PIXEL_VARIANCE)))
+            if self.scene.beam.kind == "ring"
+            else None
+        )
+
+    @property
     def per_pixel(self) -> float:
         """Least standard deviation of one pixel of boundary, px; of the noise without shot noise."""
         noise = np.hypot(self.noise, np.sqrt(PIXEL_VARIANCE))

@@ -134,7 +134,7 @@ def measure_image(image: Image) -> Deviation | str:
     lit = draw_scene(View(Range.at(cell.radius_px), kind=cell.kind), look, rng)
     scene = lit.scene
     try:
-        spot = find_spot(render(scene).image, scene.rig)
+        spot = find_spot(render(scene).image, scene.rig, camera_blur=lit.known_blur)
     except SpotNotFound as refusal:
         return refusal.reason.name.lower()
     return deviation(

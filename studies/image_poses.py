@@ -160,7 +160,7 @@ def measure_pose(job: Job) -> PoseRow:
     lit = CASES[job.case](job.seed)
     scene = lit.scene
     try:
-        spot = find_spot(render(scene).image, scene.rig)
+        spot = find_spot(render(scene).image, scene.rig, camera_blur=lit.known_blur)
         solution = solve(spot, scene.rig)
     except SpotNotFound as refusal:
         return _row(job, "refused", reason=refusal.reason.name.lower())
