@@ -17,6 +17,7 @@ from planeopt.cli.demo import demo
 from planeopt.cli.messages import complain
 from planeopt.cli.pose import pose
 from planeopt.cli.reproduce import reproduce
+from planeopt.cli.simulate import simulate
 from planeopt.errors import InputError
 
 INTERRUPTED = 130
@@ -31,7 +32,7 @@ def build_app() -> App:
         version=__version__,
         suppress_keyboard_interrupt=False,
     )
-    for command in (demo, pose, compare, reproduce):
+    for command in (demo, pose, compare, reproduce, simulate):
         app.command(command)
     return app
 

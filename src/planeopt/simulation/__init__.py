@@ -1,6 +1,6 @@
 """Images of spots with their truth: scenes in Python or TOML, exact in geometry, with the noise of real images."""
 
-from planeopt.simulation.file import load_scene, save_scene, scene_schema
+from planeopt.simulation.file import load_scene, save_scene, scene_schema, scene_sources
 from planeopt.simulation.geometry import boundary_distances
 from planeopt.simulation.render import Simulated, clean_light, frame, frames, render, true_record
 from planeopt.simulation.scene import Scene
@@ -25,5 +25,6 @@ __all__ = [
     "render",
     "save_scene",
     "scene_schema",
+    "scene_sources",
     "true_record",
 ]

@@ -152,6 +152,19 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     return Scene.of(rig, plane, **shared)
 
 
+def scene_sources(path: str | os.PathLike[str]) -> list[Path]:
+    """Return the files that a scene is read from: its own and, where it names one, the rig's.
+
+    Raises
+    ------
+    InputError
+        If the scene cannot be read.
+    """
+    file = Path(path)
+    rig = _read(file).get("rig")
+    return [file, file.parent / rig] if isinstance(rig, str) else [file]
+
+
 _SHARED = ("optics", "surface", "noise", "sensor", "clutter", "sweep", "frames", "laser_off", "seed")
 
 
@@ -243,7 +256,9 @@ def _mapping(scene: Scene, rig_file: str) -> dict[str, Any]:
         occlusion=scene.occlusions,
         **{name: getattr(scene, name) for name in _SHARED},
     )
-    return _without_none(msgspec.to_builtins(tables))
+    mapping = _without_none(msgspec.to_builtins(tables))
+    mapping["noise"].setdefault("full_well_electrons", 0.0)
+    return mapping
 
 
 def _plane_table(scene: Scene) -> PlaneTable:
@@ -264,4 +279,5 @@ def _without_none(value: Any) -> Any:
 
 def scene_schema() -> dict[str, Any]:
     """Return the JSON schema of `scene.toml`, as it is shipped beside this module."""
-    return msgspec.json.schema(SceneFile)
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "planeopt scene"}
+    return head | msgspec.json.schema(SceneFile)

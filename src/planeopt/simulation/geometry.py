@@ -45,16 +45,23 @@ class View:
     cosine_axis: Array
     sine_axis: Array
 
-    def xi(self, normalised: Array) -> tuple[Array, Array]:
-        """Return where rays (..., 2) meet the beam's cross-section, (..., 2), and the Jacobian (..., 2, 2) of that."""
-        H = self.homography
-        along = normalised @ H[:, :2].T + H[:, 2]
-        depth = along[..., 2]
-        meets = depth > 0
-        depth = np.where(meets, depth, 1.0)
-        xi = along[..., :2] / depth[..., None]
-        jacobian = (H[:2, :2] - xi[..., :, None] * H[2, :2]) / depth[..., None, None]
-        return np.where(meets[..., None], xi, FAR), jacobian
+    def xi(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
+        """Return where rays with normalised coordinates x, y meet the beam's cross-section, and the homography's w."""
+        (a, b, c), (d, e, f), (g, h, i) = self.homography.tolist()
+        w = g * x + h * y + i
+        before = w > 0
+        inverse = 1 / np.where(before, w, 1.0)
+        first, second = (a * x + b * y + c) * inverse, (d * x + e * y + f) * inverse
+        return np.where(before, first, FAR), np.where(before, second, FAR), w
+
+    def rho(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
+        """Return `rho` of rays with normalised coordinates x, y, and its derivatives with x and y."""
+        (a, b, _), (d, e, _), (g, h, _) = self.homography.tolist()
+        first, second, w = self.xi(x, y)
+        rho = np.hypot(first, second)
+        scale = 1 / (np.maximum(rho, 1e-12) * np.where(w > 0, w, 1.0))
+        squares = rho * rho
+        return rho, (first * a + second * d - squares * g) * scale, (first * b + second * e - squares * h) * scale
 
     def outline(self, theta: Array, radii: float = 1.0) -> Array:
         """Return the raw pixels (N, 2) of the circle `rho = radii` at angles (N,) in the cross-section."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from planeopt.errors import InputError
 from planeopt.simulation.geometry import FAR, View
@@ -27,6 +27,8 @@ _TAIL = 5.5
 _FINE, _COARSE = 8, 4
 _SMALL_PX = 25.0
 _ROWS = 64
+# Beyond this distance from a sharp edge its light is flat to 1e-12, with the second order of the distance allowed for.
+_NEAR_PX = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,13 +75,26 @@ class _Sampling:
 
 @dataclass(frozen=True, eq=False)
 class _Pixels:
-    """What is known at the centres of a box of pixels, each (h, w, ...)."""
+    """What is known at the centres of a box of pixels.
 
-    left: int
-    top: int
-    normalised: Array
-    normalised_jacobian: Array
+    Attributes
+    ----------
+    rays : (2, h, w) ndarray
+        Normalised coordinates.
+    rays_by_px : (2, 2, h, w) ndarray
+        Their derivatives with the pixel's x and y.
+    xi : (2, h, w) ndarray
+    rho : (h, w) ndarray
+    distance : (h, w) ndarray
+        To `rho = 1`, to first order, px.
+    curving, bend : (h, w) ndarray
+        Second derivatives of rho along and across its contour, over its slope, 1/px.
+    """
+
+    rays: Array
+    rays_by_px: Array
     xi: Array
+    rho: Array
     distance: Array
     curving: Array
     bend: Array
@@ -107,11 +122,11 @@ def spot_patch(view: View, rng: np.random.Generator) -> Patch:
     pixels = _survey(
         view, left - sampling.margin, top - sampling.margin, right + sampling.margin, bottom + sampling.margin
     )
-    level = plateau(beam, radius, np.clip(pixels.xi, -2 * outer, 2 * outer), rng)
-    rho = np.hypot(pixels.xi[..., 0], pixels.xi[..., 1])
-    inside = (rho < 1) & (beam.kind != "ring")
-    active = _active(pixels, rho, inner, outer)
-    values = np.where(inside & ~active, level, 0.0)
+    # Far outside there is no light; clipping keeps polynomials of what lies behind the horizon finite.
+    across, down = np.clip(pixels.xi, -2 * outer, 2 * outer)
+    level = plateau(beam, radius, across, down, rng)
+    active = _active(pixels, inner, outer)
+    values = np.where((pixels.rho < 1) & (beam.kind != "ring") & ~active, level, 0.0)
     fine = _fine_values(view, pixels, level, active, sampling)
     light = _sum(values, active, fine, sampling)
     return Patch(left, top, light)
@@ -142,9 +157,8 @@ def _narrowest(view: View, outline: Array, width_mm: float) -> float:
     if not 0 < width_mm < math.inf:
         return width_mm
     normalised, jacobian = view.scene.rig.camera.normalise(outline)
-    xi, outer = view.xi(normalised)
-    slope = np.linalg.norm(np.einsum("ni,nij,njk->nk", xi, outer, jacobian), axis=1)
-    return float(width_mm / view.scene.rig.require_beam().radius / slope.max())
+    _, dx, dy = _slope(view, normalised.T, np.moveaxis(jacobian, 0, -1))
+    return float(width_mm / view.scene.rig.require_beam().radius / np.hypot(dx, dy).max())
 
 
 def _box(view: View, outer: float, margin: int) -> tuple[int, int, int, int]:
@@ -167,70 +181,67 @@ def _survey(view: View, left: int, top: int, right: int, bottom: int) -> _Pixels
     """Look at all pixels of a box: where they lie in the cross-section, and how the outline runs past them."""
     y, x = np.mgrid[top:bottom, left:right].astype(np.float64)
     normalised, jacobian = view.scene.rig.camera.normalise(np.stack([x, y], axis=-1))
-    xi, outer = view.xi(normalised)
-    rho, slope = _slope(xi, outer, jacobian)
-    steepness = np.linalg.norm(slope, axis=-1)
-    safe = np.maximum(steepness, 1e-12)
-    nx, ny = slope[..., 0] / safe, slope[..., 1] / safe
+    rays = np.ascontiguousarray(np.moveaxis(normalised, -1, 0))
+    by_px = np.ascontiguousarray(np.moveaxis(jacobian, (-2, -1), (0, 1)))
+    xi = np.stack(view.xi(*rays)[:2])
+    rho, dx, dy = _slope(view, rays, by_px)
+    steepness = np.maximum(np.hypot(dx, dy), 1e-12)
+    nx, ny = dx / steepness, dy / steepness
     # Second derivatives of rho serve small corrections only: differences from pixel to pixel will do.
-    xx = np.gradient(slope[..., 0], axis=1)
-    xy = np.gradient(slope[..., 0], axis=0)
-    yy = np.gradient(slope[..., 1], axis=0)
-    along = nx * nx * xx + 2 * nx * ny * xy + ny * ny * yy
-    across = ny * ny * xx - 2 * nx * ny * xy + nx * nx * yy
-    return _Pixels(left, top, normalised, jacobian, xi, (rho - 1) / safe, across / safe, along / safe)
+    xx, xy, yy = np.gradient(dx, axis=1), np.gradient(dx, axis=0), np.gradient(dy, axis=0)
+    bend = nx * nx * xx + 2 * nx * ny * xy + ny * ny * yy
+    curving = ny * ny * xx - 2 * nx * ny * xy + nx * nx * yy
+    return _Pixels(rays, by_px, xi, rho, (rho - 1) / steepness, curving / steepness, bend / steepness)
 
 
-def _slope(xi: Array, outer: Array, inner: Array) -> tuple[Array, Array]:
-    """Return rho (...) and its gradient (..., 2) per px."""
-    rho = np.hypot(xi[..., 0], xi[..., 1])
-    direction = xi / np.maximum(rho, 1e-12)[..., None]
-    return rho, np.einsum("...i,...ij,...jk->...k", direction, outer, inner)
+def _slope(view: View, rays: Array, by_px: Array) -> tuple[Array, Array, Array]:
+    """Return rho and its derivatives with the pixel's x and y, of rays (2, ...) that change by (2, 2, ...) a pixel."""
+    rho, by_x, by_y = view.rho(rays[0], rays[1])
+    return rho, by_x * by_px[0, 0] + by_y * by_px[1, 0], by_x * by_px[0, 1] + by_y * by_px[1, 1]
 
 
-def _active(pixels: _Pixels, rho: Array, inner: float, outer: float) -> Mask:
+def _active(pixels: _Pixels, inner: float, outer: float) -> Mask:
     """Return which pixels need samples of their own: those where the irradiance is not flat."""
     # The distance is of first order; pixels further than this from the edge are flat whatever its curvature.
-    near = np.abs(pixels.distance) < 3.0
-    smooth = (rho > inner) & (rho < outer) if outer > inner else np.zeros_like(near)
-    return (near | smooth) & (rho < FAR)
+    near = np.abs(pixels.distance) < _NEAR_PX
+    return (near | ((pixels.rho > inner) & (pixels.rho < outer))) & (pixels.rho < FAR)
 
 
 def _fine_values(view: View, pixels: _Pixels, level: Array, active: Mask, sampling: _Sampling) -> Array:
     """Return the light at the samples (n, s, s) of the active pixels: rows, then columns."""
     scene = view.scene
     beam, radius = scene.beam, scene.rig.require_beam().radius
-    step = sampling.offsets
-    offset = np.stack(np.broadcast_arrays(step[None, :], step[:, None]), axis=-1)
-    inner = pixels.normalised_jacobian[active]
+    x, y = (part.ravel() for part in np.meshgrid(sampling.offsets, sampling.offsets))
+    by_px = pixels.rays_by_px[:, :, active]
     # The lens is smooth: to second order over half a pixel it is exact to 1e-9 px. The homography is not expanded.
-    bent = _lens_bend(pixels)[active]
-    normalised = (
-        pixels.normalised[active][:, None, None, :]
-        + np.einsum("nij,abj->nabi", inner, offset)
-        + 0.5 * np.einsum("nijk,abj,abk->nabi", bent, offset, offset)
-    )
-    xi, outer = view.xi(normalised)
+    by_x, by_y = (np.gradient(pixels.rays_by_px, axis=axis)[:, :, active] for axis in (3, 2))
+    changes = np.concatenate([by_px, by_x[:, :1], by_x[:, 1:] + by_y[:, :1], by_y[:, 1:]], axis=1)
+    terms = np.stack([x, y, x * x / 2, x * y / 2, y * y / 2])
+    rays = pixels.rays[:, active, None] + np.swapaxes(changes, 1, 2) @ terms
     if sampling.closed == 0:
-        edge = irradiance(beam, radius, xi)
+        first, second, _ = view.xi(rays[0], rays[1])
+        edge = irradiance(beam, radius, first, second)
     else:
-        rho, slope = _slope(xi, outer, inner[:, None, None])
-        steepness = np.linalg.norm(slope, axis=-1)
-        distance = (rho - 1) / steepness
-        bend, curving = (part[active][:, None, None] for part in (pixels.bend, pixels.curving))
-        distance = distance + 0.5 * bend * distance**2
-        soft = beam.edge_mm / radius / steepness
-        # A blurred convex edge draws back by half its curvature times the blur squared.
-        moved = distance + 0.5 * curving * sampling.closed**2
-        edge = ndtr(-moved / np.sqrt(soft**2 + sampling.closed**2))
-    down, right = (np.gradient(level, axis=axis)[active][:, None, None] for axis in (0, 1))
-    local = level[active][:, None, None] + right * offset[..., 0] + down * offset[..., 1]
-    return edge * np.maximum(local, 0.0)
+        edge = _smoothed_edge(view, pixels, active, rays, sampling.closed)
+    if np.ptp(level) > 0:
+        down, right = (np.gradient(level, axis=axis)[active, None] for axis in (0, 1))
+        edge *= np.maximum(level[active, None] + right * x + down * y, 0.0)
+    return edge.reshape(-1, sampling.factor, sampling.factor)
 
 
-def _lens_bend(pixels: _Pixels) -> Array:
-    """Return d^2 normalised_i / d px_j d px_k (h, w, 2, 2, 2)."""
-    return np.stack([np.gradient(pixels.normalised_jacobian, axis=axis) for axis in (1, 0)], axis=-1)
+def _smoothed_edge(view: View, pixels: _Pixels, active: Mask, rays: Array, blur: float) -> Array:
+    """Return a disc at samples (2, n, s * s) of the active pixels, smoothed by a Gaussian of this width, px."""
+    scene = view.scene
+    rho, dx, dy = _slope(view, rays, pixels.rays_by_px[:, :, active, None])
+    steepness = np.hypot(dx, dy)
+    distance = (rho - 1) / steepness
+    distance = distance + 0.5 * pixels.bend[active, None] * distance * distance
+    # A blurred convex edge draws back by half its curvature times the blur squared.
+    distance = distance + 0.5 * blur**2 * pixels.curving[active, None]
+    soft = scene.beam.edge_mm / scene.rig.require_beam().radius / steepness
+    # Where the profile's middle lies if the beam's radius is at another level than half.
+    middle = float(ndtri(scene.beam.level)) * soft
+    return ndtr((middle - distance) / np.hypot(soft, blur))
 
 
 def _sum(values: Array, active: Mask, fine: Array, sampling: _Sampling) -> Array:

@@ -37,8 +37,8 @@ def reach(beam: BeamProfile, radius: float) -> tuple[float, float]:
     return max(0.0, inner * (1 - beam.astigmatism)), outer / (1 - beam.astigmatism)
 
 
-def irradiance(beam: BeamProfile, radius: float, xi: Array) -> Array:
-    """Return the irradiance (...) at places (..., 2) of the cross-section, share of the plateau; smooth profiles only.
+def irradiance(beam: BeamProfile, radius: float, x: Array, y: Array) -> Array:
+    """Return the irradiance (...) at places of the cross-section, share of the plateau; smooth profiles only.
 
     Parameters
     ----------
@@ -46,19 +46,19 @@ def irradiance(beam: BeamProfile, radius: float, xi: Array) -> Array:
         Not a sharp disc.
     radius : float
         Of the beam, mm.
-    xi : ndarray, shape (..., 2)
+    x, y : ndarray, shape (...)
         In radii.
     """
-    rho = np.hypot(xi[..., 0], xi[..., 1])
+    rho = np.hypot(x, y)
     if beam.astigmatism > 0:
         direction = math.radians(beam.astigmatism_deg)
         squares = np.maximum(rho * rho, 1e-300)
         # cos and sin of twice the angle from the axes, without the angle.
-        c2 = (xi[..., 0] ** 2 - xi[..., 1] ** 2) / squares
-        s2 = 2 * xi[..., 0] * xi[..., 1] / squares
+        c2, s2 = (x * x - y * y) / squares, 2 * x * y / squares
         turn = c2 * math.cos(2 * direction) + s2 * math.sin(2 * direction)
-        # At `level` the contour stays the circle.
-        rho = rho / (1 + beam.astigmatism * (_radial(beam, radius, rho) - beam.level) * turn)
+        # At this level the contour stays the circle; a ring's ridge stays where it is.
+        still = 1.0 if beam.kind == "ring" else beam.level
+        rho = rho / (1 + beam.astigmatism * (_radial(beam, radius, rho) - still) * turn)
     return _radial(beam, radius, rho)
 
 
@@ -71,9 +71,8 @@ def _radial(beam: BeamProfile, radius: float, rho: Array) -> Array:
     return ndtr((1 - rho) * (radius / beam.edge_mm) + float(ndtri(beam.level)))
 
 
-def plateau(beam: BeamProfile, radius: float, xi: Array, rng: np.random.Generator) -> Array:
-    """Return the relative brightness (...), smooth and not negative, at places (..., 2) of the cross-section."""
-    x, y = xi[..., 0], xi[..., 1]
+def plateau(beam: BeamProfile, radius: float, x: Array, y: Array, rng: np.random.Generator) -> Array:
+    """Return the relative brightness (...), smooth and not negative, at places of the cross-section (in radii)."""
     value = 1 + beam.slope[0] * x + beam.slope[1] * y + beam.bowl * (x * x + y * y)
     if beam.unevenness > 0:
         # A sum of plane waves with normal wave vectors has a Gaussian autocorrelation of that correlation length.

@@ -55,7 +55,7 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True):
         if isinstance(plane, SpotPose):
             plane = SpotPose(rig.require_beam().radius / math.cos(plane.alpha), plane.z_L, plane.alpha, plane.beta)
         if "beam" not in tables and rig.spot is not None:
-            tables["beam"] = BeamProfile(kind="ring" if rig.spot.kind == "ring" else "disc")
+            tables["beam"] = BeamProfile(kind="ring" if rig.spot.kind == "ring" else "disc", level=rig.spot.level)
         return cls(rig=rig, plane=plane, **tables)
 
     @property

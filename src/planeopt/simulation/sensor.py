@@ -1,5 +1,7 @@
 """From light to grey values: shot and read noise, saturation, response, quantisation."""
 
+from functools import reduce
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,7 +22,7 @@ def expose(light: Array, noise: Noise, sensor: Sensor, rng: np.random.Generator)
     """
     signal: Array = np.maximum(light, 0.0)
     variance: Array | float = noise.read**2
-    if noise.full_well_electrons is not None:
+    if noise.full_well_electrons:
         variance = variance + signal / noise.full_well_electrons
         few = signal * noise.full_well_electrons < _FEW
         if np.any(few):
@@ -54,6 +56,6 @@ def channels(parts: list[tuple[Array, tuple[float, float, float]]], sensor: Sens
         A grey camera sees the light as it is.
     """
     if not sensor.color:
-        return np.sum([light for light, _ in parts], axis=0)
-    seen = [np.sum([light * rgb[channel] for light, rgb in parts], axis=0) for channel in (2, 1, 0)]
+        return reduce(np.add, [light for light, _ in parts])
+    seen = [reduce(np.add, [light * rgb[channel] for light, rgb in parts]) for channel in (2, 1, 0)]
     return np.stack(seen, axis=-1)

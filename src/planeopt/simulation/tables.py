@@ -94,8 +94,8 @@ class BeamProfile(Table, frozen=True):
     unevenness_radii : float
         Its correlation length (the standard deviation of its Gaussian autocorrelation), in beam radii.
     astigmatism : float
-        A dirty beam: a contour at another level than `level` is an ellipse instead of a circle; its semi-axes differ by
-        twice this times the difference of level, relatively.
+        A dirty beam: a contour at another level than `level` (a ring's: than its ridge) is an ellipse, not a circle;
+        its semi-axes differ by twice this times the difference of level, relatively. A sharp edge does not show it.
     astigmatism_deg : float
         Direction of that in the cross-section, from x to y.
     fringes : float
@@ -190,8 +190,8 @@ class Noise(Table, frozen=True):
     speckle_grain_px : float
         Standard deviation of the Gaussian autocovariance of that intensity, px: two pixels a distance d apart are
         correlated by exp(-d^2 / (2 grain^2)).
-    full_well_electrons : float, optional
-        Electrons at full scale, whose number is Poisson distributed; left out: no shot noise.
+    full_well_electrons : float or None
+        Electrons at full scale, whose number is Poisson distributed; 0 (or None, in Python): no shot noise.
     read : float
         Standard deviation of the read noise, share of full scale (a grey level of 8 bits is 1/255).
     """
@@ -200,7 +200,7 @@ class Noise(Table, frozen=True):
 
     speckle: Share = 0.0
     speckle_grain_px: NotNegative = 1.2
-    full_well_electrons: Positive | None = 10000.0
+    full_well_electrons: NotNegative | None = 10000.0
     read: NotNegative = 0.002
 
 

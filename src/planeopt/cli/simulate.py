@@ -1,0 +1,87 @@
+"""`planeopt simulate`: images of a scene, with the truth beside each."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+from cyclopts.types import PositiveInt
+
+from planeopt.cli.files import output_folder
+from planeopt.errors import InputError
+
+if TYPE_CHECKING:
+    from planeopt.simulation import Scene
+
+RIG, SCENE = "rig.toml", "scene.toml"
+
+
+def simulate(
+    scene: Path,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    seed: Annotated[int | None, Parameter()] = None,
+    frames: PositiveInt | None = None,
+    force: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Render a scene: images of the spot (image_0001.png ...), each with its true pose (image_0001.json).
+
+    The rig is written beside them (rig.toml), and the scene with all its keys (scene.toml), which gives the same images
+    again. With laser_off in the scene there is an image without laser for each (dark_0001.png ...).
+
+    Parameters
+    ----------
+    scene
+        The scene file (scene.toml).
+    output
+        Folder for the images.
+    seed
+        Of all that is random, instead of the scene's.
+    frames
+        How many images, instead of the scene's number.
+    force
+        Write into an existing folder.
+    """
+    import msgspec
+
+    from planeopt.simulation import load_scene, scene_sources
+
+    loaded = load_scene(scene)
+    if seed is not None and seed < 0:
+        raise InputError(f"--seed must not be negative, but is {seed}")
+    changes = {name: value for name, value in (("seed", seed), ("frames", frames)) if value is not None}
+    loaded = msgspec.structs.replace(loaded, **changes)
+    written = {(output / name).resolve() for name in (RIG, SCENE)}
+    for source in scene_sources(scene):
+        if source.resolve() in written:
+            raise InputError(
+                f"{source}: is read in this run and would be written over; name another folder than {output}"
+            )
+    with output_folder(output, force=force) as folder:
+        _write(loaded, folder)
+    return 0
+
+
+def _write(scene: "Scene", folder: Path) -> None:
+    import cv2
+    from rich.console import Console
+    from rich.progress import track
+
+    from planeopt.rig import save_rig
+    from planeopt.simulation import frame, render, save_scene
+
+    digits = max(4, len(str(scene.frames)))
+    console = Console(stderr=True)
+    for index in track(range(scene.frames), "images", console=console, transient=True, disable=not sys.stderr.isatty()):
+        single = frame(scene, index)
+        number = f"{index + 1:0{digits}d}"
+        shot = render(single, name=f"image_{number}.png")
+        images = {f"image_{number}.png": shot.image}
+        if scene.laser_off:
+            images[f"dark_{number}.png"] = render(single, laser=False).image
+        for name, image in images.items():
+            _, encoded = cv2.imencode(".png", image)
+            (folder / name).write_bytes(encoded.tobytes())
+        (folder / f"image_{number}.json").write_text(f"{shot.truth.to_json()}\n", encoding="ascii")
+    save_rig(scene.rig, folder / RIG)
+    save_scene(scene, folder / SCENE, RIG)
