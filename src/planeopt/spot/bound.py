@@ -19,8 +19,9 @@ that level: it counts as carrying no information, and the integral leaves it out
 - the step keeps the share ``Phi(sqrt(2) Phi^-1(q))`` of its information;
 - the ridge keeps ``(2/sqrt(pi)) tau exp(-tau^2) + erfc(tau)``, with ``tau^2 = -2 ln q``.
 
-Background, height and width cost nothing extra to first order where they are shared round the spot: hundreds of pixels
-inside and outside tell them. Where each normal has its own they do cost; the bound is for those that share.
+Background, height and width cost little where they are shared round the spot: hundreds of pixels inside and outside
+tell them (the size of a disc of 60 px 3 to 6 %, of 8 px 12 to 47 %, the centre nothing). Where each normal has its own
+they cost more; the bound is that of known ones.
 
 Points that stand for d pixels of boundary each have ``sigma_s / sqrt(d)``, and parameters that move the boundary along
 its normal by j(l) at arc length l per unit are known with the covariance ``sigma_s^2 inv(int j j' dl)``.
