@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planeopt.rig import Rig
-from planeopt.spot.ellipses import Ellipses
+from planeopt.spot.ellipses import Ellipses, unlike
 from planeopt.spot.grey import Box, Grey
 from planeopt.spot.hints import BeamHint, box_of_previous, region_box
 from planeopt.spot.lines import Look, look_at
 from planeopt.spot.outline import Outline
 from planeopt.spot.points import Kind, NoSpotReason, Spot, SpotNotFound
-from planeopt.spot.pyramid import Level, pixel_noise, pyramid
+from planeopt.spot.pyramid import Level, centres, pixel_noise, pyramid
 from planeopt.spot.rays import edges_on_rays, ellipses_through, promise
 from planeopt.spot.trace import Traced, trace
 
@@ -29,7 +29,9 @@ _MIN_SIZE, _MIN_MINOR = 3.6, 2.4  # px: below, background, edge and plateau cann
 _LARGE = 4_000_000  # pixels: in larger images the smallest spots are looked for only if nothing else is there
 _SEEDS = 200  # of a level
 _LOOKED_AT = 32  # of a level, the most promising
+_VOTED = 150_000  # pixels: on larger levels edges do not vote, which takes long and finds small things
 _AGREE = 0.3  # of the rays
+_ALIKE = 0.1  # of the size: ellipses that differ by less are followed once
 _NOISE_FACTOR = 3.0  # an edge has to be that many standard deviations of a pixel's noise
 _DARK = 0.02  # of full scale
 _MIN_CONTRAST = 0.004  # of full scale: one grey value of 8 bits
@@ -182,6 +184,8 @@ def _starts(levels: list[Level], which: range, floor: float, box: Box, beam: Bea
     for index in which:
         level = levels[index]
         seeds, _ = level.peaks(floor, _SEEDS)
+        if level.image.size < _VOTED:
+            seeds = np.concatenate([seeds, centres(level, floor, _SEEDS // 4)])
         seeds = seeds[_inside(seeds, box) & beam.allows(seeds)]
         if not len(seeds):
             continue
@@ -190,7 +194,8 @@ def _starts(levels: list[Level], which: range, floor: float, box: Box, beam: Bea
         chosen = np.argsort(-hope, kind="stable")[:_LOOKED_AT]
         chosen = chosen[hope[chosen] > floor / 2]
         ellipses, share = ellipses_through(level, seeds[chosen], radius[chosen], height[chosen])
-        starts[index] = ellipses[share > _AGREE]
+        ellipses, share = ellipses[share > _AGREE], share[share > _AGREE]
+        starts[index] = ellipses[unlike(ellipses, share, _ALIKE)]
     return starts
 
 
@@ -209,7 +214,8 @@ def _judge(
     contrast = traced.height / grey.search_scale
     threshold = max(_NOISE_FACTOR * noise, _MIN_CONTRAST)
     verdicts = _verdicts(traced, contrast, misfit, threshold)
-    rank = traced.ellipses.size * np.sqrt(contrast) * traced.support**2 * traced.sharpness / (1 + misfit**2)
+    seen = np.maximum(traced.support - traced.beyond, 0)
+    rank = traced.ellipses.size * np.sqrt(contrast) * seen**2 * traced.sharpness / (1 + misfit**2)
     good = np.array([verdict is None for verdict in verdicts])
     candidates = []
     for index in _distinct(traced.ellipses, np.where(good, rank, 0))[:_JUDGED]:

@@ -73,6 +73,20 @@ class Ellipses:
         return Outline(x, y, float(values[0]), float(values[1]), (angle + np.pi / 2) % np.pi - np.pi / 2)
 
 
+def unlike(ellipses: Ellipses, merit: Array, share: float) -> NDArray[np.intp]:
+    """Return the indices, best first, of those that differ from all better ones by more than a share of their size."""
+    kept: list[int] = []
+    size = ellipses.size
+    # Squared, a shape does not depend on where on the circle it starts.
+    squared = ellipses.shape @ ellipses.shape.transpose(0, 2, 1)
+    for index in np.argsort(-merit, kind="stable").tolist():
+        apart = np.linalg.norm(ellipses.centre[kept] - ellipses.centre[index], axis=1) / size[index]
+        other = np.linalg.norm(squared[kept] - squared[index], axis=(1, 2)) / (2 * size[index] ** 2)
+        if np.all(apart + other > share):
+            kept.append(index)
+    return np.array(kept, dtype=np.intp)
+
+
 def from_outline(outline: Outline) -> Ellipses:
     """Return one ellipse as an array of one."""
     return Ellipses(np.array([[outline.x, outline.y]]), (outline.axes * [outline.a, outline.b])[None])

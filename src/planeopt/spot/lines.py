@@ -16,7 +16,10 @@ Array = NDArray[np.floating]
 _FINE = 56.0  # px: what is larger is looked at on a coarser level
 _ANGLES = 48
 _FURTHEST = 1.6  # times the ellipse
-_RING = 0.5  # of the line's height: a darker inside is that of a ring
+_SEEN = 1.3  # times the ellipse: a direction counts that is seen so far
+_FILLED = 0.8  # of the directions
+_LEAST_HOLE = 0.35  # of the ellipse
+_SUDDEN = 0.2  # of the ellipse: within that the hole has to end in nearly all directions
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,30 +48,56 @@ def look_at(levels: list[Level], ellipse: Ellipses) -> Look:
     """Look at one ellipse, an array of one, that runs along the outer edge of a spot."""
     size = float(ellipse.size[0])
     index = next((i for i, level in enumerate(levels) if size / level.factor <= _FINE), len(levels) - 1)
-    rho, grey = _profile(levels[index], ellipse)
-    inside = float(np.median(grey[(rho > 0.2) & (rho < 0.7)]))
-    line = float(grey[(rho > 0.6) & (rho < 1.15)].max())
-    outside = float(grey[rho > 1.0].min())
-    if inside - outside > _RING * (line - outside):
+    rho, grey = _profiles(levels[index], ellipse)
+    shown = _shown(rho, grey)
+    middle = np.median(grey[:, shown], axis=1)
+    outside = float(middle[rho > 1.0].min())
+    line = float(middle[(rho > 0.6) & (rho < 1.15)].max())
+    if not _is_hollow(rho, grey[:, shown] > (line + outside) / 2):
+        inside = float(np.median(middle[(rho > 0.5) & (rho < 0.85)]))
         return Look(ellipse.outline(0), "disc", inside, outside, 0.0)
-    line_at = rho[grey.argmax()]
-    middle = Ellipses(ellipse.centre, ellipse.shape * line_at)
-    width = _half_width(rho, grey, max(inside, outside)) * size
+    inside = float(np.median(middle[rho < 0.4]))
+    line_at = rho[middle.argmax()]
+    ring = Ellipses(ellipse.centre, ellipse.shape * line_at)
+    width = _half_width(rho, middle, max(inside, outside)) * size
     for level in (levels[index], levels[0]) if index else (levels[0],):
         for _ in range(2):
-            middle, width = _onto_line(level, middle, width + level.factor, outside)
-    return Look(middle.outline(0), "ring", line, max(inside, outside), width)
+            ring, width = _onto_line(level, ring, width + level.factor, outside)
+    return Look(ring.outline(0), "ring", line, max(inside, outside), width)
 
 
-def _profile(level: Level, ellipse: Ellipses) -> tuple[Array, Array]:
-    """Return radii, 1 on the ellipse, and the median grey value round the ellipse at each, as far as it is seen."""
+def _profiles(level: Level, ellipse: Ellipses) -> tuple[Array, Array]:
+    """Return radii (M,), 1 on the ellipse, and the grey values (M, N) at each, for those directions that are seen."""
     size = float(ellipse.size[0]) / level.factor
-    rho = np.linspace(0.1, _FURTHEST, int(np.clip(1.5 * size, 24, 160)))
+    rho = np.linspace(0.1, _FURTHEST, int(np.clip(1.5 * size, 31, 160)))
     points, _, _ = ellipse.at(_ANGLES)
     ray = points[0] - ellipse.centre[0]
     grey, there = level.sample(ellipse.centre[0] + rho[:, None, None] * ray)
-    enough = there.sum(axis=1) >= _ANGLES // 4
-    return rho[enough], np.array([np.median(row[seen]) for row, seen in zip(grey[enough], there[enough], strict=True)])
+    whole = there[rho < _SEEN].all(axis=0)
+    return rho, grey[:, whole] if whole.sum() > _ANGLES // 4 else grey
+
+
+def _shown(rho: Array, grey: Array) -> NDArray[np.bool_]:
+    """Return in which directions (N,) there is a fall from the ellipse outwards that is about as high as elsewhere."""
+    fall = grey[(rho > 0.75) & (rho < 1.02)].max(axis=0) - grey[(rho > 1.02) & (rho < _SEEN)].min(axis=0)
+    return fall >= np.minimum(0.5 * np.quantile(fall, 0.7), np.median(fall))
+
+
+def _is_hollow(rho: Array, bright: NDArray[np.bool_]) -> bool:
+    """Return whether the inside is dark up to the same radius in all directions.
+
+    A bar across a disc darkens its middle as well, but not as far in one direction as in another.
+    """
+    share = bright[rho < 1].mean(axis=1)
+    filled = np.flatnonzero(share > _FILLED)
+    hollow = np.flatnonzero(share < 1 - _FILLED)
+    if not filled.size or not hollow.size:
+        return False
+    hole = hollow[hollow < filled[-1]]
+    if not hole.size:
+        return False
+    first = filled[filled > hole[-1]][0]
+    return bool(rho[hole[-1]] > _LEAST_HOLE and rho[first] - rho[hole[-1]] < _SUDDEN)
 
 
 def _half_width(rho: Array, grey: Array, base: float) -> float:

@@ -12,6 +12,7 @@ Array = NDArray[np.floating]
 
 _INNER, _OUTER = 5, 17  # px of a level: the boxes whose means are compared, for spots of 3 to 8 px
 _APART = 5  # px of a level: peaks closer than half of that are one
+_VOTES = 3, 15  # px of a level: how far off the middle of a spot may be
 _SIGNIFICANT = 5.0  # standard deviations of white noise
 _NOISE_SAMPLE = 200_000  # pixels that say enough about noise
 _MIN_LEVEL = 20  # px: the shortest side of a level
@@ -82,6 +83,35 @@ class Level:
         heights = response[places[:, 1], places[:, 0]].astype(np.float64)
         chosen = np.argsort(-heights, kind="stable")[:most]
         return (places[chosen] + 0.5) * self.factor + self.origin, heights[chosen]
+
+
+def centres(level: Level, floor: float, most: int) -> Array:
+    """Return the places (N, 2), px of the whole image, that most edges point to: the middles of rings and of parts.
+
+    Each pixel on an edge votes for the places uphill of it (Loy and Zelinsky, IEEE PAMI 25, 2003, without their scales:
+    that is what the levels are for). A ring, or what an obstacle leaves of a spot, need not be bright in its middle.
+    """
+    gx, gy = (np.asarray(cv2.Sobel(level.smooth, cv2.CV_32F, *d, scale=1 / 8)) for d in ((1, 0), (0, 1)))
+    steep = np.asarray(cv2.magnitude(gx, gy))
+    # Smoothed white noise has gradients of a fifth of its deviation; across an edge the grey value falls in 2 px or so.
+    threshold = max(floor / 3, level.noise)
+    rows, columns = np.nonzero(steep > threshold)
+    if not len(rows):
+        return np.empty((0, 2))
+    height, width = steep.shape
+    strength = steep[rows, columns]
+    reach = np.arange(*_VOTES, dtype=np.float32)
+    x = np.rint(columns[:, None] + gx[rows, columns, None] / strength[:, None] * reach).astype(np.intp)
+    y = np.rint(rows[:, None] + gy[rows, columns, None] / strength[:, None] * reach).astype(np.intp)
+    there = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+    # The root: a faint spot beside bright things still counts. Over the distance: a large circle has more edge.
+    weight = np.sqrt(strength)[:, None] / reach
+    votes = np.bincount((y * width + x)[there], weight[there], height * width).reshape(height, width)
+    smooth = np.asarray(cv2.GaussianBlur(votes.astype(np.float32), (5, 5), 0))
+    top = (smooth >= np.asarray(cv2.dilate(smooth, np.ones((_APART, _APART), np.uint8)))) & (smooth > 0)
+    rows, columns = np.nonzero(top)
+    chosen = np.argsort(-smooth[rows, columns], kind="stable")[:most]
+    return (np.stack([columns, rows], axis=1)[chosen] + 0.5) * level.factor + level.origin
 
 
 def pixel_noise(values: NDArray[Any], quantum: float = 0.0) -> float:

@@ -8,7 +8,7 @@ the ACM 24, 1981; rays from a seed: Li, Winfield, Parkhurst, Starburst, CVPR Wor
 import numpy as np
 from numpy.typing import NDArray
 
-from planeopt.spot.ellipses import Ellipses
+from planeopt.spot.ellipses import Ellipses, joined
 from planeopt.spot.pyramid import Level
 
 Array = NDArray[np.floating]
@@ -18,6 +18,9 @@ _REACH = 17  # px of the level: twice the largest spot of a level, and some way 
 _FIVES = 96
 _TOLERANCE = 0.7, 0.07  # px of the level, and of the radius
 _SIGNIFICANT = 0.4  # of the typical edge: less is not looked at
+_BEYOND = 0.5  # of a ray: what an edge further out than the ellipse counts against it
+_PER_SEED = 3  # ellipses
+_ALIKE = 0.15  # of the size: ellipses that differ by less are one
 _MIN_RADIUS = 1.5  # px of the level
 _MAX_RATIO = 14.0  # of the axes
 
@@ -85,7 +88,7 @@ def promise(radius: Array, height: Array) -> Array:
 
 
 def ellipses_through(level: Level, seeds: Array, radius: Array, height: Array) -> tuple[Ellipses, Array]:
-    """Return the ellipse that most of the edges round each seed agree on, and the share of rays (K,) that do.
+    """Return the ellipses that most of the edges round each seed agree on, a few of each, and the share that do.
 
     With the seed inside, the conic ``q0 + q1 cos 2t + q2 sin 2t + w (q3 cos t + q4 sin t) = w^2`` in the inverse radius
     ``w`` is linear in its five coefficients, and solved exactly for five rays.
@@ -105,14 +108,23 @@ def ellipses_through(level: Level, seeds: Array, radius: Array, height: Array) -
     weight = np.minimum(height / np.maximum(np.median(height[..., 0], axis=1), 1e-9)[:, None, None], 1.0)
     miss = (predicted[..., None] - radius[:, None]) / tolerance[..., None]
     credit = np.where(np.isfinite(miss), np.maximum(1 - miss**2, 0), 0) * weight[:, None]
-    share = credit.max(axis=3).mean(axis=2)
+    # What hides a spot cuts its edge short. An edge further out speaks against an ellipse that claims to be all.
+    further = np.clip(miss[..., 1] * -1 - 1, 0, 1) * (weight[:, None, :, 1] > _SIGNIFICANT)
+    share = (credit.max(axis=3) - _BEYOND * np.nan_to_num(further)).mean(axis=2)
     found, good = _geometric(q)
     share = np.where(good & (root > 0).all(axis=2), share, 0)
-    best = share.argmax(axis=1)
-    rows = np.arange(len(seeds))
     centre, shape = found.centre.reshape(*share.shape, 2), found.shape.reshape(*share.shape, 2, 2)
-    chosen = Ellipses(seeds + level.factor * centre[rows, best], level.factor * shape[rows, best])
-    return chosen, share[rows, best]
+    rows = np.arange(len(seeds))
+    parts, shares = [], []
+    for _ in range(_PER_SEED):
+        best = share.argmax(axis=1)
+        parts.append(Ellipses(seeds + level.factor * centre[rows, best], level.factor * shape[rows, best]))
+        shares.append(share[rows, best])
+        like = np.linalg.norm(shape - shape[rows, best][:, None], axis=(2, 3))
+        like += np.linalg.norm(centre - centre[rows, best][:, None], axis=2)
+        size = np.sqrt(np.abs(np.linalg.det(shape[rows, best])))
+        share = np.where(like < 2 * _ALIKE * size[:, None], 0, share)
+    return joined(parts), np.concatenate(shares)
 
 
 def _geometric(q: Array) -> tuple[Ellipses, NDArray[np.bool_]]:
