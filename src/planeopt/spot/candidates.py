@@ -15,8 +15,8 @@ from planeopt.spot.lines import Look, look_at
 from planeopt.spot.outline import Outline
 from planeopt.spot.points import Kind, NoSpotReason, Spot, SpotNotFound
 from planeopt.spot.pyramid import Level, centres, pixel_noise, pyramid
-from planeopt.spot.rays import edges_on_rays, ellipses_through, promise
-from planeopt.spot.trace import Traced, trace
+from planeopt.spot.rays import Seeds, all_seeds, ellipses_through, seeds_at
+from planeopt.spot.trace import Traced, together, trace
 
 __all__ = ["Candidate", "find_candidate", "pixel_noise"]
 
@@ -28,7 +28,10 @@ _MIN_SIDE = 16  # px
 _MIN_SIZE, _MIN_MINOR = 3.6, 2.4  # px: below, background, edge and plateau cannot be told apart
 _LARGE = 4_000_000  # pixels: in larger images the smallest spots are looked for only if nothing else is there
 _SEEDS = 200  # of a level
-_LOOKED_AT = 32  # of a level, the most promising
+_BATCH = 12  # seeds that are followed up together
+_ROUNDS = 12  # batches at most
+_WORTH = 0.12  # of the best one's strength: a seed that promises less cannot rival it
+_WHOLE = 0.85  # of the boundary
 _VOTED = 150_000  # pixels: on larger levels edges do not vote, which takes long and finds small things
 _AGREE = 0.3  # of the rays
 _ALIKE = 0.1  # of the size: ellipses that differ by less are followed once
@@ -156,16 +159,14 @@ def _explain(grey: Grey, rejected: _Rejected) -> SpotNotFound:
 
 def _search(grey: Grey, box: Box, noise: float, beam: BeamHint) -> tuple[list[Candidate], _Rejected]:
     """Return what looks like a spot, one of each, and why the most striking other thing does not."""
-    wide = _padded(beam.box(box), grey.shape)
-    x0, y0, x1, y1 = wide
+    x0, y0, x1, y1 = _padded(beam.box(box), grey.shape)
     if min(x1 - x0, y1 - y0) < _MIN_SIDE:
         return [], _Rejected()
     levels = pyramid(grey.search[y0:y1, x0:x1], (x0, y0))
-    floor = max(_MIN_CONTRAST, noise) * grey.search_scale
     first = 1 if (x1 - x0) * (y1 - y0) > _LARGE else 0
-    found, rejected = _judge(grey, levels, _starts(levels, range(first, len(levels)), floor, box, beam), noise, beam)
+    found, rejected = _compete(grey, levels, range(first, len(levels)), box, noise, beam)
     if not found and first > 0:
-        found, rejected = _judge(grey, levels, _starts(levels, range(first), floor, box, beam), noise, beam)
+        found, rejected = _compete(grey, levels, range(first), box, noise, beam)
     return found, rejected
 
 
@@ -178,25 +179,20 @@ def _padded(box: Box, shape: tuple[int, int]) -> Box:
     return max(x0 - dx, 0), max(y0 - dy, 0), min(x1 + dx, shape[1]), min(y1 + dy, shape[0])
 
 
-def _starts(levels: list[Level], which: range, floor: float, box: Box, beam: BeamHint) -> list[Ellipses]:
-    """Return the ellipses round bright places, for each level those that are found at it."""
-    starts = [Ellipses(np.empty((0, 2)), np.empty((0, 2, 2)))] * len(levels)
+def _seeds(levels: list[Level], which: range, floor: float, box: Box, beam: BeamHint) -> Seeds:
+    """Return the places at these levels that may be in a spot, the most promising first."""
+    parts = []
     for index in which:
         level = levels[index]
-        seeds, _ = level.peaks(floor, _SEEDS)
+        places, _ = level.peaks(floor, _SEEDS)
         if level.image.size < _VOTED:
-            seeds = np.concatenate([seeds, centres(level, floor, _SEEDS // 4)])
-        seeds = seeds[_inside(seeds, box) & beam.allows(seeds)]
-        if not len(seeds):
-            continue
-        radius, height = edges_on_rays(level, seeds)
-        hope = promise(radius, height)
-        chosen = np.argsort(-hope, kind="stable")[:_LOOKED_AT]
-        chosen = chosen[hope[chosen] > floor / 2]
-        ellipses, share = ellipses_through(level, seeds[chosen], radius[chosen], height[chosen])
-        ellipses, share = ellipses[share > _AGREE], share[share > _AGREE]
-        starts[index] = ellipses[unlike(ellipses, share, _ALIKE)]
-    return starts
+            places = np.concatenate([places, centres(level, floor, _SEEDS // 4)])
+        places = places[_inside(places, box) & beam.allows(places)]
+        parts.append(seeds_at(levels, index, places))
+    seeds = all_seeds(parts)
+    promise = seeds.promise
+    order = np.argsort(-promise, kind="stable")
+    return seeds[order[promise[order] > 0]]
 
 
 def _inside(places: Array, box: Box) -> NDArray[np.bool_]:
@@ -204,28 +200,77 @@ def _inside(places: Array, box: Box) -> NDArray[np.bool_]:
     return np.all((places >= [x0 - 0.5, y0 - 0.5]) & (places <= [x1 - 0.5, y1 - 0.5]), axis=1)
 
 
-def _judge(
-    grey: Grey, levels: list[Level], starts: list[Ellipses], noise: float, beam: BeamHint
+def _compete(
+    grey: Grey, levels: list[Level], which: range, box: Box, noise: float, beam: BeamHint
 ) -> tuple[list[Candidate], _Rejected]:
-    traced = trace(levels, starts)
-    if not len(traced):
-        return [], _Rejected()
+    """Follow up the seeds, the most promising first, until what is left cannot rival what was found."""
+    scale = grey.search_scale
+    pending = _seeds(levels, which, max(_MIN_CONTRAST, noise) * scale, box, beam)
+    threshold = max(_NOISE_FACTOR * noise, _MIN_CONTRAST) * scale
+    everything: list[_Judged] = []
+    best = 0.0
+    for _ in range(_ROUNDS):
+        pending = pending[pending.promise > _WORTH * best]
+        if not len(pending):
+            break
+        batch, pending = pending[:_BATCH], pending[_BATCH:]
+        judged = _judge(levels, batch, threshold, beam)
+        everything.append(judged)
+        best = max(best, float(judged.rank.max(initial=0.0)))
+        # A seed within a spot that is seen nearly whole has nothing else to say.
+        for index in np.flatnonzero((judged.rank > 0) & (judged.seen > _WHOLE)):
+            inside = judged.traced.ellipses[np.array([index])].radius_of(pending.place[None])[0] < 1
+            pending = pending[~inside]
+    return _conclude(grey, levels, everything)
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """What was followed up, and what is thought of it.
+
+    Parameters
+    ----------
+    traced : Traced
+    verdicts : list
+        Why each is no spot, or None.
+    seen : (K,) array
+        Share of the boundary that is seen, less the share beyond which it is as bright.
+    rank : (K,) array
+        0 for what is no spot.
+    """
+
+    traced: Traced
+    verdicts: list[NoSpotReason | None]
+    seen: Array
+    rank: Array
+
+
+def _judge(levels: list[Level], seeds: Seeds, threshold: float, beam: BeamHint) -> _Judged:
+    ellipses, share, found_at = ellipses_through(seeds)
+    kept = np.flatnonzero(share > _AGREE)
+    kept = kept[unlike(ellipses[kept], share[kept], _ALIKE)]
+    traced = trace(levels, ellipses[kept], found_at[kept])
     misfit = beam.misfit(traced.ellipses)
-    contrast = traced.height / grey.search_scale
-    threshold = max(_NOISE_FACTOR * noise, _MIN_CONTRAST)
-    verdicts = _verdicts(traced, contrast, misfit, threshold)
+    verdicts = _verdicts(traced, misfit, threshold)
     seen = np.maximum(traced.support - traced.beyond, 0)
-    rank = traced.ellipses.size * np.sqrt(contrast) * seen**2 * traced.sharpness / (1 + misfit**2)
-    good = np.array([verdict is None for verdict in verdicts])
+    rank = traced.ellipses.size * np.sqrt(traced.height) * seen**2 * traced.sharpness / (1 + misfit**2)
+    good = np.array([verdict is None for verdict in verdicts], dtype=bool)
+    return _Judged(traced, verdicts, seen, np.where(good, rank, 0))
+
+
+def _conclude(grey: Grey, levels: list[Level], everything: list[_Judged]) -> tuple[list[Candidate], _Rejected]:
+    traced = together([judged.traced for judged in everything])
+    rank = np.concatenate([np.empty(0), *(judged.rank for judged in everything)])
+    verdicts = [verdict for judged in everything for verdict in judged.verdicts]
     candidates = []
-    for index in _distinct(traced.ellipses, np.where(good, rank, 0))[:_JUDGED]:
+    for index in _distinct(traced.ellipses, rank)[:_JUDGED]:
         look = look_at(levels, traced.ellipses[np.array([index])])
         candidates.append(_candidate(look, traced, index, float(rank[index]), grey))
     _log.debug(
-        "%d ellipses, %d of them no spots (%d off the beam), %d distinct",
+        "%d ellipses followed, %d of them no spots (%d off the beam), %d distinct",
         len(traced),
-        int(np.sum(~good)),
-        int(np.sum(np.isinf(misfit))),
+        sum(verdict is not None for verdict in verdicts),
+        sum(verdict is NoSpotReason.OFF_BEAM for verdict in verdicts),
         len(candidates),
     )
     striking = [(traced.height[i] * traced.ellipses.size[i], i) for i, bad in enumerate(verdicts) if bad is not None]
@@ -236,12 +281,12 @@ def _judge(
     return candidates, _Rejected(verdicts[worst], (x, y))
 
 
-def _verdicts(traced: Traced, contrast: Array, misfit: Array, threshold: float) -> list[NoSpotReason | None]:
+def _verdicts(traced: Traced, misfit: Array, threshold: float) -> list[NoSpotReason | None]:
     """Return for each ellipse why it is no spot, or None."""
     small = (traced.ellipses.size < _MIN_SIZE) | (traced.ellipses.semi_axes[:, 1] < _MIN_MINOR)
     cut = (traced.outside > _MAX_OUTSIDE) | ((traced.outside > 0.1) & (traced.support < _MIN_SUPPORT))
     shapeless = (traced.support < _MIN_SUPPORT) | (traced.beyond > _MAX_BEYOND)
-    faint = contrast < threshold * 0.5
+    faint = traced.height < threshold * 0.5
     rules = (
         (faint, NoSpotReason.NO_CONTRAST),
         (small, NoSpotReason.TOO_SMALL),

@@ -52,12 +52,13 @@ class Level:
 
     def sample(self, points: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Return the grey values (..., ) at points (..., 2) of the whole image, and which of them are on this one."""
-        local = self.local(points)
+        maps = self.local(points).astype(np.float32)
         height, width = self.image.shape
-        there = np.all((local >= -0.5) & (local <= [width - 0.5, height - 0.5]), axis=-1)
-        maps = local.reshape(len(local), -1, 2).astype(np.float32) if local.size else np.zeros((1, 1, 2), np.float32)
-        found = cv2.remap(self.smooth, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return np.reshape(np.asarray(found, dtype=np.float64).ravel()[: there.size], there.shape), there
+        x, y = maps[..., 0], maps[..., 1]
+        there = (x >= -0.5) & (x <= width - 0.5) & (y >= -0.5) & (y <= height - 0.5)
+        flat = maps.reshape(len(maps), -1, 2) if maps.size else np.zeros((1, 1, 2), np.float32)
+        found = cv2.remap(self.smooth, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.reshape(np.asarray(found, dtype=np.float32).ravel()[: there.size], there.shape), there
 
     def peaks(self, floor: float, most: int) -> tuple[Array, Array]:
         """Return the places (N, 2), px of the whole image, that are bright against their surroundings, and by how much.

@@ -5,6 +5,8 @@ and the ellipse through most of the edges is found by trying many fives of them 
 the ACM 24, 1981; rays from a seed: Li, Winfield, Parkhurst, Starburst, CVPR Workshops 2005).
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,7 +17,7 @@ Array = NDArray[np.floating]
 
 _RAYS = 32
 _REACH = 17  # px of the level: twice the largest spot of a level, and some way off its centre
-_FIVES = 96
+_FIVES = 80
 _TOLERANCE = 0.7, 0.07  # px of the level, and of the radius
 _SIGNIFICANT = 0.4  # of the typical edge: less is not looked at
 _BEYOND = 0.5  # of a ray: what an edge further out than the ellipse counts against it
@@ -79,20 +81,69 @@ def edges_on_rays(level: Level, seeds: Array) -> tuple[Array, Array]:
     return np.where(at > 0, index + 1.5 + np.clip(fine, -0.5, 0.5), np.nan), at
 
 
-def promise(radius: Array, height: Array) -> Array:
-    """Return (K,) how much each seed's edges look like those of a spot; to choose those that are worth a closer look.
+@dataclass(frozen=True, eq=False)
+class Seeds:
+    """K places to start from, and the edges on the rays from them.
 
-    The height that all but a third of the rays exceed: a peak on a line or at a corner has edges on few.
+    Parameters
+    ----------
+    place : (K, 2) array
+        px of the whole image.
+    found_at : (K,) array of int
+        The level they were found at.
+    factor : (K,) array
+        Its factor.
+    radius, height : (K, R, 2) arrays
+        See `edges_on_rays`.
     """
-    return np.quantile(height[..., 0], 1 / 3, axis=1) * np.sqrt(np.nan_to_num(np.nanmedian(radius[..., 0], axis=1)))
+
+    place: Array
+    found_at: NDArray[np.intp]
+    factor: Array
+    radius: Array
+    height: Array
+
+    def __len__(self) -> int:
+        return len(self.place)
+
+    def __getitem__(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> "Seeds":
+        return Seeds(
+            self.place[index], self.found_at[index], self.factor[index], self.radius[index], self.height[index]
+        )
+
+    @property
+    def promise(self) -> Array:
+        """How strong a spot each may be (K,): its likely size times the root of the height of its edge.
+
+        The height that all but a third of the rays exceed: a peak on a line or at a corner has edges on few.
+        """
+        ordered = np.sort(self.height[..., 0], axis=1)
+        there = np.sort(np.nan_to_num(self.radius[..., 0], nan=0.0), axis=1)
+        return np.sqrt(ordered[:, _RAYS // 3]) * there[:, _RAYS // 2] * self.factor
 
 
-def ellipses_through(level: Level, seeds: Array, radius: Array, height: Array) -> tuple[Ellipses, Array]:
-    """Return the ellipses that most of the edges round each seed agree on, a few of each, and the share that do.
+def seeds_at(levels: list[Level], index: int, places: Array) -> Seeds:
+    """Return the seeds at places (K, 2) that were found at a level."""
+    radius, height = edges_on_rays(levels[index], places)
+    count = len(places)
+    return Seeds(places, np.full(count, index), np.full(count, float(levels[index].factor)), radius, height)
+
+
+def all_seeds(parts: list[Seeds]) -> Seeds:
+    """Return the seeds of several levels in one array."""
+    names = ("place", "found_at", "factor", "radius", "height")
+    return Seeds(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+def ellipses_through(seeds: Seeds) -> tuple[Ellipses, Array, NDArray[np.intp]]:
+    """Return the ellipses that most of the edges round each seed agree on, a few of each.
+
+    Also the share of rays that agree, and the level that each was found at.
 
     With the seed inside, the conic ``q0 + q1 cos 2t + q2 sin 2t + w (q3 cos t + q4 sin t) = w^2`` in the inverse radius
     ``w`` is linear in its five coefficients, and solved exactly for five rays.
     """
+    radius, height = seeds.radius, seeds.height
     w = 1 / np.maximum(np.where(np.isfinite(radius), radius, 1e3), 0.5)
     five = np.where(_ODD[None, :, None], w[:, _FIVE_RAYS, 1], w[:, _FIVE_RAYS, 0])
     basis = np.stack([np.ones(_RAYS), np.cos(2 * _THETA), np.sin(2 * _THETA), _COS, _SIN], axis=1)[_FIVE_RAYS]
@@ -118,13 +169,14 @@ def ellipses_through(level: Level, seeds: Array, radius: Array, height: Array) -
     parts, shares = [], []
     for _ in range(_PER_SEED):
         best = share.argmax(axis=1)
-        parts.append(Ellipses(seeds + level.factor * centre[rows, best], level.factor * shape[rows, best]))
+        factor = seeds.factor[:, None]
+        parts.append(Ellipses(seeds.place + factor * centre[rows, best], factor[..., None] * shape[rows, best]))
         shares.append(share[rows, best])
         like = np.linalg.norm(shape - shape[rows, best][:, None], axis=(2, 3))
         like += np.linalg.norm(centre - centre[rows, best][:, None], axis=2)
         size = np.sqrt(np.abs(np.linalg.det(shape[rows, best])))
         share = np.where(like < 2 * _ALIKE * size[:, None], 0, share)
-    return joined(parts), np.concatenate(shares)
+    return joined(parts), np.concatenate(shares), np.tile(seeds.found_at, _PER_SEED)
 
 
 def _geometric(q: Array) -> tuple[Ellipses, NDArray[np.bool_]]:

@@ -15,12 +15,13 @@ from planeopt.spot.pyramid import Level
 
 Array = NDArray[np.floating]
 
-_NORMALS = 64
+_NORMALS = 48
 _WINDOW = 3.0  # px of the level: how far off an edge is looked for
 _STEP = 0.75  # px of the level
-_ROUNDS = 3
+_ROUNDS = 2  # at the first level; where it came from a coarser one, one will do
+_STRIDE = 2  # levels: what is found at one is good enough for the next but one
 _FINE = 56.0  # px: no level is needed on which a spot is larger
-_SOFT = 0.6  # of the height at the level before: an edge that is lower at the finer level has nothing finer to show
+_SOFT = 0.45  # of the height at the level before: an edge that is lower at the finer level has nothing finer to show
 _HEIGHT = 0.35  # of the typical height: what is less is not the same edge
 _TOLERANCE = 0.35, 0.02  # px of the level, and of the radius: what an ellipse may be off by itself
 _JITTER = 2.5  # by what the noise of the edges adds to that,
@@ -67,39 +68,44 @@ class Traced:
         )
 
 
-def trace(levels: list[Level], starts: list[Ellipses]) -> Traced:
+def trace(levels: list[Level], starts: Ellipses, found_at: NDArray[np.intp]) -> Traced:
     """Return all ellipses followed to the finest level that their size asks for and their edge has something for.
 
     Parameters
     ----------
     levels : list of Level
         From fine to coarse.
-    starts : list of Ellipses
-        Found at each of the levels, good to a pixel of it or two.
+    starts : Ellipses
+    found_at : (K,) array of int
+        The level at which each was found, good to a pixel of it or two.
     """
     done: list[Traced] = []
-    moving: Traced | None = None
+    moving, due = together([]), np.empty(0, dtype=np.intp)
     for index in range(len(levels) - 1, -1, -1):
         level = levels[index]
+        arrived, moving, due = moving[due == index], moving[due != index], due[due != index]
         parts: list[Traced] = []
-        if moving is not None and len(moving):
-            followed = _sharper(moving, _follow(level, moving.ellipses))
-            soft = followed.height < _SOFT * moving.height
-            # The heights fall by half from level to level once the edge is softer than a pixel.
-            done.append(replace(moving, sharpness=_fallen(followed, level))[soft])
-            parts.append(followed[~soft])
-        if len(starts[index]):
-            parts.append(_follow(level, starts[index]))
-        moving = _together(parts) if parts else None
-        if moving is not None and len(moving):
-            fine = (moving.ellipses.size / level.factor > _FINE / 2) | (index == 0)
-            done.append(moving[fine])
-            moving = moving[~fine]
-    return _together(done)
+        if len(arrived):
+            followed = _follow(level, arrived.ellipses, 1)
+            share = followed.height / arrived.height
+            # A softer edge than a pixel falls in height as the levels get finer.
+            followed = replace(followed, sharpness=np.minimum(arrived.sharpness * np.minimum(share, 1), 1.0))
+            done.append(replace(arrived, sharpness=_fallen(followed, level))[share < _SOFT])
+            parts.append(followed[share >= _SOFT])
+        if np.any(found_at == index):
+            parts.append(_follow(level, starts[found_at == index], _ROUNDS))
+        if parts:
+            here = together(parts)
+            finest = _finest(here, len(levels))
+            done.append(here[finest >= index])
+            moving = together([moving, here[finest < index]])
+            due = np.concatenate([due, np.maximum(finest[finest < index], index - _STRIDE)])
+    return together(done)
 
 
-def _sharper(before: Traced, after: Traced) -> Traced:
-    return replace(after, sharpness=np.minimum(1.0, before.sharpness * after.height / np.maximum(before.height, 1e-9)))
+def _finest(traced: Traced, count: int) -> NDArray[np.intp]:
+    """Return the level (K,) that the size of each asks for: the finest on which it is not larger than need be."""
+    return np.clip(np.ceil(np.log2(np.maximum(traced.ellipses.size / _FINE, 1e-9))), 0, count - 1).astype(np.intp)
 
 
 def _fallen(after: Traced, level: Level) -> Array:
@@ -108,15 +114,16 @@ def _fallen(after: Traced, level: Level) -> Array:
     return after.sharpness * 0.5 ** np.maximum(np.log2(level.factor) - finest, 0)
 
 
-def _together(parts: list[Traced]) -> Traced:
+def together(parts: list[Traced]) -> Traced:
+    """Return all of them in one array."""
     names = ("height", "support", "beyond", "outside", "sharpness")
     rest = {name: np.concatenate([np.empty(0), *(getattr(part, name) for part in parts)]) for name in names}
     return Traced(joined([part.ellipses for part in parts]), **rest)
 
 
-def _follow(level: Level, ellipses: Ellipses) -> Traced:
+def _follow(level: Level, ellipses: Ellipses, rounds: int) -> Traced:
     """Move ellipses to the edges within a few pixels of a level, and judge them there."""
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         offset, height, seen, _, normals, share = _edges(level, ellipses)
         points, _, _ = ellipses.at(_NORMALS)
         weight = share * np.minimum(height / _typical(height, seen)[:, None], 1.0) * seen
@@ -171,9 +178,10 @@ def _edges(level: Level, ellipses: Ellipses) -> tuple[Array, Array, NDArray[np.b
 
 def _typical(height: Array, which: NDArray[np.bool_]) -> Array:
     """Return the median height (K,) of those that count, or a little more than nothing."""
-    masked = np.where(which, height, np.nan)
-    masked[~which.any(axis=1)] = 0
-    return np.maximum(np.nanmedian(masked, axis=1), 1e-9)
+    ordered = np.sort(np.where(which, height, np.inf), axis=1)
+    count = which.sum(axis=1)
+    middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[:, None] // 2, axis=1)[:, 0]
+    return np.where(count > 0, np.maximum(middle, 1e-9), 1e-9)
 
 
 def _jitter(offset: Array, height: Array, typical: Array) -> Array:
@@ -191,14 +199,14 @@ def adjusted(ellipses: Ellipses, points: Array, normals: Array, offset: Array, w
     nx, ny = normals[..., 0], normals[..., 1]
     design = np.stack([nx, ny, nx * x, ny * y, nx * y + ny * x], axis=-1)
     change = np.zeros((len(ellipses), 5))
-    for _ in range(4):
+    for _ in range(3):
         residual = offset - (design @ change[..., None])[..., 0]
         spread = np.median(np.abs(residual), axis=1, keepdims=True) * 1.5 + 0.25 * pixel
         use = weight * np.clip(1 - (residual / (3 * spread)) ** 2, 0, 1) ** 2
-        normal = np.einsum("kni,kn,knj->kij", design, use, design)
+        weighted = (design * use[..., None]).transpose(0, 2, 1)
+        normal = weighted @ design
         ridge = 1e-3 * np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1e-9
-        right = np.einsum("kni,kn->ki", design, use * offset)
-        change = np.linalg.solve(normal + ridge * np.eye(5), right[..., None])[..., 0]
+        change = np.linalg.solve(normal + ridge * np.eye(5), weighted @ offset[..., None])[..., 0]
     limit = _WINDOW * pixel
     change = np.clip(change, -limit, limit)
     s = change[:, 2:] / scale
