@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from planeopt.spot.bound import boundary_sigma, least_covariance, point_sigma
+from planeopt.spot.bound import boundary_sigma, least_covariance, point_sigma, size_cost
 from planeopt.spot.points import Kind
 from spot_scene import Scene
 
@@ -81,22 +81,29 @@ def test_the_integral_is_the_closed_form(kind: Kind, clip: float) -> None:
     np.testing.assert_allclose(boundary_sigma(kind, 100.0, 2.0, 1.3, clip=clip, noise_bright=2.0), closed, rtol=1e-9)
 
 
-def test_unknown_background_height_and_blur_cost_little() -> None:
+@pytest.mark.parametrize(("radius", "clip", "tolerance"), [(8.0, np.inf, 0.02), (40.0, np.inf, 0.02), (40.0, 0.8, 0.1)])
+def test_the_cost_of_an_unknown_height_and_blur(radius: float, clip: float, tolerance: float) -> None:
+    at = {"radius": radius, "blur": BLUR, "height": HEIGHT}
     h = 0.05
 
     def disc(**changes: float) -> Array:
-        known = {"blur": BLUR, "background": BACKGROUND, "height": HEIGHT, "radius": RADIUS}
-        now = known | changes
-        size = {"centre": (55.3, 55.8), "size": (112, 112), "semi_axes": (now.pop("radius"),) * 2}
-        return Scene(**size, **now).clean(6).ravel()  # pyright: ignore[reportArgumentType] - a test's dict
+        now = at | changes
+        shape = {"centre": (55.3, 55.8), "size": (112, 112), "semi_axes": (now.pop("radius"),) * 2}
+        return Scene(background=0, **shape, **now).clean(6).ravel()  # pyright: ignore[reportArgumentType] - a test's dict
 
-    steps = {"radius": RADIUS, "blur": BLUR, "background": BACKGROUND, "height": HEIGHT}
-    J = np.array([(disc(**{name: at + h}) - disc(**{name: at - h})) / (2 * h) for name, at in steps.items()])
-    information = J @ J.T / NOISE**2
-    all_known = 1 / information[0, 0]
-    # The half height of a curved edge moves by w^2 / (2 radius) and the plateau is told by the edge's inner half: the
-    # size is known 1.03 to 1.06 times worse at a radius of 60 px, 1.12 to 1.47 times at 8 px; the centre not at all.
-    assert 1 < np.linalg.inv(information)[0, 0] / all_known < 1.06**2
+    J = np.array([(disc(**{name: x + h}) - disc(**{name: x - h})) / (2 * h) for name, x in at.items()])
+    J = np.where(disc() < clip * HEIGHT, J, 0.0)
+    information = J @ J.T
+    cost = np.sqrt(np.linalg.inv(information)[0, 0] * information[0, 0])
+    # The square pixel counts as a Gaussian; where a clipped edge is nearly one parameter's, its tail's shape matters.
+    assert size_cost(radius, width("disc"), clip=clip) == pytest.approx(cost, rel=tolerance)
+
+
+def test_the_cost_is_that_of_the_size_alone() -> None:
+    angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    moves, lengths = np.stack([np.ones_like(angle), np.cos(angle)], axis=1), np.full(400, 0.5)
+    free, paid = least_covariance(moves, lengths, 0.1), least_covariance(moves, lengths, 0.1, size_cost=3.0)
+    np.testing.assert_allclose(paid, free * [[9, 1], [1, 1]], atol=1e-12)
 
 
 def test_known_values() -> None:

@@ -20,8 +20,8 @@ that level: it counts as carrying no information, and the integral leaves it out
 - the ridge keeps ``(2/sqrt(pi)) tau exp(-tau^2) + erfc(tau)``, with ``tau^2 = -2 ln q``.
 
 Background, height and width cost little where they are shared round the spot: hundreds of pixels inside and outside
-tell them (the size of a disc of 60 px 3 to 6 %, of 8 px 12 to 47 %, the centre nothing). Where each normal has its own
-they cost more; the bound is that of known ones.
+tell them. A disc's size alone is known worse, by the factor `size_cost`, which is large where the plateau is clipped.
+Where each normal has its own plateau they cost more.
 
 Points that stand for d pixels of boundary each have ``sigma_s / sqrt(d)``, and parameters that move the boundary along
 its normal by j(l) at arc length l per unit are known with the covariance ``sigma_s^2 inv(int j j' dl)``.
@@ -33,7 +33,8 @@ level says about the level is left out: this is the information in the means. `d
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import erfc, ndtr, ndtri
+from scipy.special import erfc, i0e, ndtr, ndtri
+from scipy.stats import ncx2
 
 from planeopt.spot.points import Kind
 
@@ -98,7 +99,39 @@ def point_sigma(per_pixel: ArrayLike, spacing: ArrayLike) -> Array:
     return np.asarray(per_pixel, dtype=np.float64) / np.sqrt(np.asarray(spacing, dtype=np.float64))
 
 
-def least_covariance(moves: Array, lengths: Array, per_pixel: ArrayLike) -> Array:
+def size_cost(radius: float, blur: float, *, clip: float = np.inf) -> float:
+    """Return by what factor a disc's size is known worse because its height and its blur have to be measured as well.
+
+    A circle blurred by a Gaussian, exactly: a point at the distance r from its centre sees the share
+    ``P(|r + blur n| < radius)`` of the height, n a standard normal vector of two components; its derivative by the
+    radius is a blurred thin ring. What is known worse is the mean position of the boundary alone: centre and axes lose
+    nothing. A ring's ridge is symmetric: its height and width cost it nothing to first order, if the camera's part of
+    the width is known.
+
+    Parameters
+    ----------
+    radius, blur : float
+        px; `blur` is that of the profile.
+    clip : float
+        As in `boundary_sigma`. Clipped below its height an edge's place, height and width are all but one thing: the
+        cost is about 15 at 0.5.
+    """
+    r = np.arange(max(radius - _REACH * blur, 0.0), radius + _REACH * blur, blur / 50) + blur / 100
+
+    def seen(width: float) -> Array:
+        return np.asarray(ncx2.cdf((radius / width) ** 2, 2, (r / width) ** 2), dtype=np.float64)
+
+    by_radius = radius / blur**2 * np.exp(-(((r - radius) / blur) ** 2) / 2) * i0e(r * radius / blur**2)
+    step = 1e-3 * blur
+    design = np.stack([by_radius, seen(blur), (seen(blur + step) - seen(blur - step)) / (2 * step)])
+    weights = np.where(seen(blur) < clip, r, 0.0)
+    # The plateau inside of what is sampled tells the height as well.
+    inside = (r[0] - blur / 100) ** 2 / 2 if clip > 1 else 0.0
+    information = (design * weights) @ design.T * (blur / 50) + inside * np.diag([0.0, 1.0, 0.0])
+    return float(np.sqrt(np.linalg.inv(information)[0, 0] * information[0, 0]))
+
+
+def least_covariance(moves: Array, lengths: Array, per_pixel: ArrayLike, *, size_cost: float = 1.0) -> Array:
     """Return the least covariance (M, M) of parameters that move a boundary.
 
     Parameters
@@ -109,9 +142,13 @@ def least_covariance(moves: Array, lengths: Array, per_pixel: ArrayLike) -> Arra
         Length of boundary for which each place stands, px.
     per_pixel : array_like, scalar or (N,)
         Of `boundary_sigma`, px.
+    size_cost : float
+        Of `size_cost`: by what factor the mean position is known worse than the rest.
     """
     weights = lengths / np.broadcast_to(np.asarray(per_pixel, dtype=np.float64), lengths.shape) ** 2
-    return np.asarray(np.linalg.inv((moves * weights[:, None]).T @ moves), dtype=np.float64)
+    together = weights @ moves
+    lost = (1 - size_cost**-2) * np.outer(together, together) / weights.sum()
+    return np.asarray(np.linalg.inv((moves * weights[:, None]).T @ moves - lost), dtype=np.float64)
 
 
 def _step(clip: Array) -> Array:
