@@ -1,14 +1,17 @@
-"""From a file to a pose record: one input that cannot be used costs that input and no other."""
+"""From a file to a spot or a pose, and their records: one input that cannot be used costs that input and no other."""
 
 import logging
 import os
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from planeopt.errors import InputError
 from planeopt.estimation import solve
@@ -18,11 +21,17 @@ from planeopt.record import PoseRecord, from_solution, input_error, refused, spo
 from planeopt.rig import Rig
 from planeopt.solution import Solution
 from planeopt.solvers import Solver
-from planeopt.spot import Spot, SpotNotFound, find_spot, read_image, read_points
+from planeopt.spot import Kind, Spot, SpotFlag, SpotNotFound, find_spot, read_points
+from planeopt.spot.files import StoredImage, load_image
+from planeopt.spot.grey import to_grey
+from planeopt.spot.record import SpotRecord, no_spot, spot_record, unusable
 
 _log = logging.getLogger(__name__)
 
 StrPath = str | os.PathLike[str]
+
+_UNFORESEEN = (ArithmeticError, ValueError, np.linalg.LinAlgError, RuntimeError, MemoryError, cv2.error)
+"""What numerical libraries raise where nobody foresaw it. In a batch it must not cost the other inputs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +53,55 @@ class Measurement:
     solution: Solution | None = None
 
 
-def load_spot(path: StrPath, rig: Rig) -> Spot:
+@dataclass(frozen=True, eq=False)
+class SpotMeasurement:
+    """What one image gave.
+
+    Attributes
+    ----------
+    record : SpotRecord
+        Always there; `error` where the image cannot be used.
+    image : StoredImage or None
+        None where it cannot be read.
+    spot : Spot or None
+        None where there is none.
+    """
+
+    record: SpotRecord
+    image: StoredImage | None = None
+    spot: Spot | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Search:
+    """How to look for a spot, beside the rig: keywords of `planeopt.find_spot`; what is None is left to it."""
+
+    kind: Kind | None = None
+    region: tuple[float, float, float, float] | None = None
+    dark: NDArray[Any] | None = None
+    camera_blur: float | None = None
+    level: float | None = None
+    channel: str | None = None
+    gamma: float | None = None
+
+    def find(self, image: StoredImage, rig: Rig | None, source: str) -> Spot:
+        """Return the spot, with `SpotFlag.ENCODED` where the values are coded and no gamma says how.
+
+        Raises
+        ------
+        InputError, SpotNotFound
+            As `planeopt.find_spot`.
+        """
+        given = {field.name: value for field in fields(self) if (value := getattr(self, field.name)) is not None}
+        spot = find_spot(image.pixels, rig, source=source, **given)
+        linear = self.gamma in (None, 1.0) and (rig is None or rig.spot is None or rig.spot.gamma == 1.0)
+        return replace(spot, flags=(*spot.flags, SpotFlag.ENCODED)) if image.encoded and linear else spot
+
+
+_ANYHOW = Search()
+
+
+def load_spot(path: StrPath, rig: Rig, search: Search = _ANYHOW) -> Spot:
     """Return the spot of a file: measured in an image, read from a `.csv` of boundary points.
 
     Raises
@@ -56,15 +113,52 @@ def load_spot(path: StrPath, rig: Rig) -> Spot:
     """
     if Path(path).suffix.lower() == ".csv":
         return read_points(path)
-    image = read_image(path)
+    image = load_image(path)
     try:
-        return find_spot(image, rig, source=str(path))
+        return search.find(image, rig, str(path))
     except InputError as error:
         raise InputError(_naming(path, str(error))) from error
 
 
+def measure_spot(path: StrPath, rig: Rig | None = None, search: Search = _ANYHOW) -> SpotMeasurement:
+    """Find and measure the spot in one image; never raises for what is wrong with the image.
+
+    Parameters
+    ----------
+    path : path-like
+        An image.
+    rig : Rig, optional
+        A camera alone will do.
+    search : Search
+
+    Returns
+    -------
+    SpotMeasurement
+        Its record is `error` for an image that cannot be used and `refused` where there is no spot to measure.
+    """
+    name = str(path)
+    image = None
+    full_scale = None
+    try:
+        image = load_image(path)
+        full_scale = to_grey(image.pixels).scale
+        spot = search.find(image, rig, name)
+        return SpotMeasurement(spot_record(name, spot, full_scale), image, spot)
+    except SpotNotFound as reason:
+        return SpotMeasurement(no_spot(name, reason, full_scale), image)
+    except InputError as error:
+        return SpotMeasurement(unusable(name, _naming(path, str(error))), image)
+    except _UNFORESEEN as error:
+        return SpotMeasurement(unusable(name, _broken_down(path, error)), image)
+
+
 def measure(
-    path: StrPath, rig: Rig, *, formulation: Formulation | None = None, solver: Solver | None = None
+    path: StrPath,
+    rig: Rig,
+    *,
+    formulation: Formulation | None = None,
+    solver: Solver | None = None,
+    search: Search = _ANYHOW,
 ) -> Measurement:
     """Find the plane that one file shows; never raises for what is wrong with the file.
 
@@ -76,6 +170,8 @@ def measure(
         With a beam.
     formulation, solver : optional
         As in `planeopt.solve`.
+    search : Search
+        How to look for the spot in an image.
 
     Returns
     -------
@@ -85,7 +181,7 @@ def measure(
     """
     name = str(path)
     try:
-        spot = load_spot(path, rig)
+        spot = load_spot(path, rig, search)
         outside = _outside(spot, rig)
         if outside is not None:
             return Measurement(refused(name, outside, "outside_image"), spot)
@@ -94,10 +190,8 @@ def measure(
         return Measurement(spot_not_found(name, reason))
     except InputError as error:
         return Measurement(input_error(name, _naming(path, str(error))))
-    except (ArithmeticError, ValueError, np.linalg.LinAlgError, RuntimeError) as error:
-        # What numerical libraries raise where nobody foresaw it. In a batch it must not cost the other inputs.
-        _log.debug("%s failed", name, exc_info=True)
-        return Measurement(input_error(name, _naming(path, f"the computation broke down ({_one_line(error)})")))
+    except _UNFORESEEN as error:
+        return Measurement(input_error(name, _broken_down(path, error)))
     return Measurement(from_solution(name, solution), spot, solution)
 
 
@@ -107,6 +201,7 @@ def measure_many(
     *,
     formulation: Formulation | None = None,
     solver: Solver | None = None,
+    search: Search = _ANYHOW,
     executor: Executor | None = None,
 ) -> Iterator[PoseRecord]:
     """Yield the record of each file, in the files' order, as they become ready.
@@ -114,17 +209,19 @@ def measure_many(
     Parameters
     ----------
     paths : iterable of path-like
-    rig, formulation, solver
+    rig, formulation, solver, search
         As in `measure`.
     executor : Executor, optional
         Where the work is done; in this process unless given.
     """
-    work = partial(_record, rig=rig, formulation=formulation, solver=solver)
+    work = partial(_record, rig=rig, formulation=formulation, solver=solver, search=search)
     return ordered_map(work, paths, executor)
 
 
-def _record(path: StrPath, *, rig: Rig, formulation: Formulation | None, solver: Solver | None) -> PoseRecord:
-    return measure(path, rig, formulation=formulation, solver=solver).record
+def _record(
+    path: StrPath, *, rig: Rig, formulation: Formulation | None, solver: Solver | None, search: Search
+) -> PoseRecord:
+    return measure(path, rig, formulation=formulation, solver=solver, search=search).record
 
 
 def _outside(spot: Spot, rig: Rig) -> str | None:
@@ -146,5 +243,7 @@ def _naming(path: StrPath, message: str) -> str:
     return message if message.startswith(str(path)) else f"{path}: {message}"
 
 
-def _one_line(error: Exception) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"[:300]
+def _broken_down(path: StrPath, error: Exception) -> str:
+    _log.debug("%s failed", path, exc_info=error)
+    said = f"{type(error).__name__}: {' '.join(str(error).split())}"[:300]
+    return _naming(path, f"the computation broke down ({said})")

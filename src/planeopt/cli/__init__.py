@@ -18,6 +18,7 @@ from planeopt.cli.messages import complain
 from planeopt.cli.pose import pose
 from planeopt.cli.reproduce import reproduce
 from planeopt.cli.simulate import simulate
+from planeopt.cli.spot import spot
 from planeopt.errors import InputError
 
 INTERRUPTED = 130
@@ -32,7 +33,7 @@ def build_app() -> App:
         version=__version__,
         suppress_keyboard_interrupt=False,
     )
-    for command in (demo, pose, compare, reproduce, simulate):
+    for command in (demo, spot, pose, compare, reproduce, simulate):
         app.command(command)
     return app
 

@@ -139,6 +139,15 @@ def spare_what_is_read(output: Path, read: Iterable[str | Path]) -> None:
         raise InputError(f"{output}: is not a regular file; leave -o out to write to standard output")
 
 
+def spare_inputs(written: Iterable[Path], read: Iterable[str | Path]) -> None:
+    """Refuse to write files of an output folder over what is read in the same run, whatever was forced."""
+    sources = {Path(name).resolve(): name for name in read}
+    for path in written:
+        if path.resolve() in sources:
+            source = sources[path.resolve()]
+            raise InputError(f"{source}: is read in this run and would be written over; name another output folder")
+
+
 def _kept(path: Path, inputs: Sequence[str], formulation: str) -> tuple[list["PoseRecord"], bytes]:
     """Return the complete records of a file, and the bytes they take; a last line that was cut off is left out."""
     from planeopt.record import record_from_json

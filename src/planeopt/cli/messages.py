@@ -1,14 +1,28 @@
 """What the command line says beside its results: one line a message, on standard error."""
 
 import sys
+from collections import Counter
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 PLAIN_WIDTH = 150
 """Width of tables, in characters, where nobody's terminal says how wide it is: into a file or a pipe."""
+
+
+class Record(Protocol):
+    """What a command writes for each input."""
+
+    @property
+    def input(self) -> str: ...
+
+    @property
+    def status(self) -> str: ...
+
+    @property
+    def message(self) -> str: ...
 
 
 def complain(message: str) -> int:
@@ -35,3 +49,47 @@ def tables() -> "Console":
     from rich.console import Console
 
     return Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH)
+
+
+def report(records: Iterable[Record], total: int, task: str, *, quiet: bool = False) -> int:
+    """Go through records as they come: progress where someone watches, what is wrong with which input, exit status.
+
+    Parameters
+    ----------
+    records : iterable of Record
+    total : int
+        How many there will be.
+    task : str
+        What the progress bar is called.
+    quiet : bool
+        No progress bar, even at a terminal.
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    counts: Counter[str] = Counter()
+    last = None
+    # Standard output is the results': rich would send it through the console of standard error.
+    with Progress(
+        console=console,
+        transient=True,
+        redirect_stdout=False,
+        redirect_stderr=False,
+        disable=quiet or not console.is_terminal,
+    ) as progress:
+        bar = progress.add_task(task, total=total)
+        for last in records:
+            counts[last.status] += 1
+            if last.status == "error":
+                _say(console, last.message)
+            progress.advance(bar)
+    if last is not None and (counts["degraded"] or counts["refused"]):
+        tally = ", ".join(f"{count} {status}" for status, count in sorted(counts.items()))
+        alone = f"{last.input}: {last.status}: {last.message}"
+        _say(console, alone if total == 1 else f"{total} inputs: {tally}; each record's message says why")
+    return exit_status(counts)
+
+
+def _say(console: "Console", message: str) -> None:
+    console.print(one_line(message), markup=False, emoji=False, highlight=False, soft_wrap=True)
