@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planeopt.rig import Rig
-from planeopt.spot.ellipses import Ellipses, unlike
+from planeopt.spot.ellipses import unlike
 from planeopt.spot.grey import Box, Grey
 from planeopt.spot.hints import BeamHint, box_of_previous, region_box
 from planeopt.spot.lines import Look, look_at
@@ -16,7 +16,7 @@ from planeopt.spot.outline import Outline
 from planeopt.spot.points import Kind, NoSpotReason, Spot, SpotNotFound
 from planeopt.spot.pyramid import Level, centres, pixel_noise, pyramid
 from planeopt.spot.rays import Seeds, all_seeds, ellipses_through, seeds_at
-from planeopt.spot.trace import Traced, together, trace
+from planeopt.spot.trace import Traced, polished, together, trace
 
 __all__ = ["Candidate", "find_candidate", "pixel_noise"]
 
@@ -41,6 +41,7 @@ _MIN_CONTRAST = 0.004  # of full scale: one grey value of 8 bits
 _MIN_SUPPORT = 0.5  # of the boundary
 _MAX_BEYOND = 0.3  # of the boundary: with more light beyond it, it is not a boundary
 _MAX_OUTSIDE = 0.45  # of the boundary
+_OVERLAP = 0.4  # of the size: ellipses whose centres are closer are one thing
 _RIVAL = 0.3  # a second find with that share of the best one's strength makes the choice a guess
 _JUDGED = 12  # the best, whose kind and contrast are measured
 
@@ -188,7 +189,8 @@ def _seeds(levels: list[Level], which: range, floor: float, box: Box, beam: Beam
         if level.image.size < _VOTED:
             places = np.concatenate([places, centres(level, floor, _SEEDS // 4)])
         places = places[_inside(places, box) & beam.allows(places)]
-        parts.append(seeds_at(levels, index, places))
+        # One level finer: from a part of an ellipse the rest follows only if the edges are in their places.
+        parts.append(seeds_at(levels, max(index - 1, which.start), places))
     seeds = all_seeds(parts)
     promise = seeds.promise
     order = np.argsort(-promise, kind="stable")
@@ -261,10 +263,12 @@ def _judge(levels: list[Level], seeds: Seeds, threshold: float, beam: BeamHint) 
 def _conclude(grey: Grey, levels: list[Level], everything: list[_Judged]) -> tuple[list[Candidate], _Rejected]:
     traced = together([judged.traced for judged in everything])
     rank = np.concatenate([np.empty(0), *(judged.rank for judged in everything)])
+    seen = np.concatenate([np.empty(0), *(judged.seen for judged in everything)])
     verdicts = [verdict for judged in everything for verdict in judged.verdicts]
     candidates = []
-    for index in _distinct(traced.ellipses, rank)[:_JUDGED]:
-        look = look_at(levels, traced.ellipses[np.array([index])])
+    for index in _distinct(traced, seen, rank)[:_JUDGED]:
+        ellipse = polished(levels, traced.ellipses[np.array([index])], float(traced.sharpness[index]))
+        look = look_at(levels, ellipse)
         candidates.append(_candidate(look, traced, index, float(rank[index]), grey))
     _log.debug(
         "%d ellipses followed, %d of them no spots (%d off the beam), %d distinct",
@@ -297,15 +301,21 @@ def _verdicts(traced: Traced, misfit: Array, threshold: float) -> list[NoSpotRea
     return [next((reason for rule, reason in rules if rule[index]), None) for index in range(len(traced))]
 
 
-def _distinct(ellipses: Ellipses, rank: Array) -> list[int]:
-    """Return the best of each heap of ellipses that lie within one another, best first."""
+def _distinct(traced: Traced, seen: Array, rank: Array) -> list[int]:
+    """Return the best of each heap of ellipses that lie within one another, best first.
+
+    Two that overlap are two things only if both are seen nearly whole: through what is left of one spot many ellipses
+    can be drawn.
+    """
     kept: list[int] = []
-    size = ellipses.semi_axes[:, 0]
+    major, size, centre = traced.ellipses.semi_axes[:, 0], traced.ellipses.size, traced.ellipses.centre
     for index in np.argsort(-rank, kind="stable").tolist():
         if rank[index] <= 0:
             break
-        apart = np.linalg.norm(ellipses.centre[kept] - ellipses.centre[index], axis=1) if kept else np.empty(0)
-        if np.all(apart >= np.maximum(size[kept], size[index])):
+        apart = np.linalg.norm(centre[kept] - centre[index], axis=1)
+        within = apart < np.maximum(major[kept], major[index])
+        overlapping = (apart > _OVERLAP * np.maximum(size[kept], size[index])) & (seen[index] > _WHOLE)
+        if not np.any(within & ~overlapping):
             kept.append(index)
     return kept
 

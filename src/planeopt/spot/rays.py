@@ -10,15 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planeopt.spot.ellipses import Ellipses, joined
+from planeopt.spot.ellipses import Ellipses
 from planeopt.spot.pyramid import Level
 
 Array = NDArray[np.floating]
 
 _RAYS = 32
-_REACH = 17  # px of the level: twice the largest spot of a level, and some way off its centre
-_FIVES = 80
-_TOLERANCE = 0.7, 0.07  # px of the level, and of the radius
+_REACH = 33  # px of the level that the rays are sampled at, one finer than that of the seeds: twice the largest spot
+_FIVES = 96
+_TOLERANCE = 0.8, 0.06  # px of the level, and of the radius
 _SIGNIFICANT = 0.4  # of the typical edge: less is not looked at
 _BEYOND = 0.5  # of a ray: what an edge further out than the ellipse counts against it
 _PER_SEED = 3  # ellipses
@@ -28,9 +28,9 @@ _MAX_RATIO = 14.0  # of the axes
 
 
 def _fives() -> NDArray[np.intp]:
-    """Return fives of rays (F, 5), spread over arcs of half to all of the circle; always the same."""
+    """Return fives of rays (F, 5), spread over arcs of 40 to 100 % of the circle; always the same."""
     rng = np.random.default_rng(20)
-    widths = np.linspace(0.5, 1.0, _FIVES) * _RAYS
+    widths = np.linspace(0.4, 1.0, _FIVES) * _RAYS
     start = rng.integers(0, _RAYS, _FIVES)
     steps = (np.arange(5) + rng.uniform(-0.35, 0.35, (_FIVES, 5))) * widths[:, None] / 5
     return (start[:, None] + np.rint(steps).astype(np.intp)) % _RAYS
@@ -40,6 +40,8 @@ _THETA = 2 * np.pi * np.arange(_RAYS) / _RAYS
 _COS, _SIN = np.cos(_THETA), np.sin(_THETA)
 _FIVE_RAYS = _fives()
 _ODD = np.arange(_FIVES) % 3 == 0
+_EVEN_TERMS = np.stack([np.ones(_RAYS), np.cos(2 * _THETA), np.sin(2 * _THETA)])
+_ODD_TERMS = np.stack([_COS, _SIN])
 
 
 def edges_on_rays(level: Level, seeds: Array) -> tuple[Array, Array]:
@@ -90,7 +92,7 @@ class Seeds:
     place : (K, 2) array
         px of the whole image.
     found_at : (K,) array of int
-        The level they were found at.
+        The level that their edges were found at.
     factor : (K,) array
         Its factor.
     radius, height : (K, R, 2) arrays
@@ -123,7 +125,7 @@ class Seeds:
 
 
 def seeds_at(levels: list[Level], index: int, places: Array) -> Seeds:
-    """Return the seeds at places (K, 2) that were found at a level."""
+    """Return the seeds at places (K, 2), with the edges as they show at a level."""
     radius, height = edges_on_rays(levels[index], places)
     count = len(places)
     return Seeds(places, np.full(count, index), np.full(count, float(levels[index].factor)), radius, height)
@@ -145,38 +147,65 @@ def ellipses_through(seeds: Seeds) -> tuple[Ellipses, Array, NDArray[np.intp]]:
     """
     radius, height = seeds.radius, seeds.height
     w = 1 / np.maximum(np.where(np.isfinite(radius), radius, 1e3), 0.5)
+    weight = np.minimum(height / np.maximum(np.median(height[..., 0], axis=1), 1e-9)[:, None, None], 1.0)
     five = np.where(_ODD[None, :, None], w[:, _FIVE_RAYS, 1], w[:, _FIVE_RAYS, 0])
-    basis = np.stack([np.ones(_RAYS), np.cos(2 * _THETA), np.sin(2 * _THETA), _COS, _SIN], axis=1)[_FIVE_RAYS]
-    system = np.broadcast_to(basis, (*five.shape, 5)).copy()
+    system = np.concatenate([_EVEN_TERMS, _ODD_TERMS]).T[_FIVE_RAYS] * np.ones((len(w), 1, 1, 1))
     system[..., 3:] *= five[..., None]
     # A ridge far below rounding of the edges' places keeps a five with two equal rays solvable.
     q = np.linalg.solve(system + 1e-9 * np.eye(5), (five**2)[..., None])[..., 0]
-    even = q[..., :3] @ np.stack([np.ones(_RAYS), np.cos(2 * _THETA), np.sin(2 * _THETA)])
-    odd = q[..., 3:] @ np.stack([_COS, _SIN])
-    root = odd**2 + 4 * even
-    predicted = 2 / np.maximum(odd + np.sqrt(np.maximum(root, 0)), 1e-6)
-    tolerance = _TOLERANCE[0] + _TOLERANCE[1] * predicted
-    weight = np.minimum(height / np.maximum(np.median(height[..., 0], axis=1), 1e-9)[:, None, None], 1.0)
-    miss = (predicted[..., None] - radius[:, None]) / tolerance[..., None]
-    credit = np.where(np.isfinite(miss), np.maximum(1 - miss**2, 0), 0) * weight[:, None]
-    # What hides a spot cuts its edge short. An edge further out speaks against an ellipse that claims to be all.
-    further = np.clip(miss[..., 1] * -1 - 1, 0, 1) * (weight[:, None, :, 1] > _SIGNIFICANT)
-    share = (credit.max(axis=3) - _BEYOND * np.nan_to_num(further)).mean(axis=2)
+    share, _ = _agreement(q, radius, weight)
     found, good = _geometric(q)
-    share = np.where(good & (root > 0).all(axis=2), share, 0)
+    share = np.where(good, share, 0)
     centre, shape = found.centre.reshape(*share.shape, 2), found.shape.reshape(*share.shape, 2, 2)
-    rows = np.arange(len(seeds))
-    parts, shares = [], []
+    rows = np.arange(len(q))
+    best = []
     for _ in range(_PER_SEED):
-        best = share.argmax(axis=1)
-        factor = seeds.factor[:, None]
-        parts.append(Ellipses(seeds.place + factor * centre[rows, best], factor[..., None] * shape[rows, best]))
-        shares.append(share[rows, best])
-        like = np.linalg.norm(shape - shape[rows, best][:, None], axis=(2, 3))
-        like += np.linalg.norm(centre - centre[rows, best][:, None], axis=2)
-        size = np.sqrt(np.abs(np.linalg.det(shape[rows, best])))
+        top = share.argmax(axis=1)
+        best.append(top)
+        like = np.linalg.norm(shape - shape[rows, top][:, None], axis=(2, 3))
+        like += np.linalg.norm(centre - centre[rows, top][:, None], axis=2)
+        size = np.sqrt(np.abs(np.linalg.det(shape[rows, top])))
         share = np.where(like < 2 * _ALIKE * size[:, None], 0, share)
-    return joined(parts), np.concatenate(shares), np.tile(seeds.found_at, _PER_SEED)
+    ellipses, share = _refitted(q[rows[:, None], np.stack(best, axis=1)], radius, w, weight)
+    place, factor = np.repeat(seeds.place, _PER_SEED, axis=0), np.repeat(seeds.factor, _PER_SEED)[:, None]
+    moved = Ellipses(place + factor * ellipses.centre, factor[..., None] * ellipses.shape)
+    return moved, share.ravel(), np.repeat(seeds.found_at, _PER_SEED)
+
+
+def _agreement(q: Array, radius: Array, weight: Array) -> tuple[Array, Array]:
+    """Return the share of rays (K, H) whose edges are on the conics (K, H, 5), and how well each edge is (K, H, R, 2).
+
+    What hides a spot cuts its edge short. An edge further out speaks against an ellipse that claims to be all.
+    """
+    odd = q[..., 3:] @ _ODD_TERMS
+    root = odd**2 + 4 * (q[..., :3] @ _EVEN_TERMS)
+    predicted = 2 / np.maximum(odd + np.sqrt(np.maximum(root, 0)), 1e-6)
+    inverse = 1 / (_TOLERANCE[0] + _TOLERANCE[1] * predicted)
+    miss = np.nan_to_num((predicted[..., None] - radius[:, None]) * inverse[..., None], nan=np.inf)
+    credit = np.maximum(1 - miss**2, 0) * weight[:, None]
+    further = np.clip(-miss[..., 1] - 1, 0, 1) * (weight[:, None, :, 1] > _SIGNIFICANT)
+    share = (credit.max(axis=3) - _BEYOND * further).mean(axis=2)
+    return np.where((root > 0).all(axis=2), share, 0), credit
+
+
+def _refitted(q: Array, radius: Array, w: Array, weight: Array) -> tuple[Ellipses, Array]:
+    """Return conics (K, H, 5) fitted anew to all edges that agree with them, and the share (K, H) that does then."""
+    share, credit = _agreement(q, radius, weight)
+    design = np.broadcast_to(np.concatenate([_EVEN_TERMS, _ODD_TERMS]).T[:, None], (*w.shape, 5)).copy()
+    design[..., 3:] *= w[..., None]
+    design, target = design.reshape(len(w), 1, -1, 5), (w**2).reshape(len(w), 1, -1, 1)
+    # An error dr of a radius is one of 2 w^3 dr in the equation.
+    use = (credit / w[:, None] ** 6).reshape(*q.shape[:2], -1, 1)
+    left = (design * use).swapaxes(2, 3)
+    normal = left @ design
+    scale = np.trace(normal, axis1=2, axis2=3)[..., None, None]
+    again = np.linalg.solve(normal + (1e-12 * scale + 1e-30) * np.eye(5), left @ target)[..., 0]
+    new, _ = _agreement(again, radius, weight)
+    _, good = _geometric(again)
+    better = good & (new > share)
+    kept = np.where(better[..., None], again, q)
+    ellipses, _ = _geometric(kept)
+    return ellipses, np.where(better, new, share)
 
 
 def _geometric(q: Array) -> tuple[Ellipses, NDArray[np.bool_]]:

@@ -22,7 +22,8 @@ _ROUNDS = 2  # at the first level; where it came from a coarser one, one will do
 _STRIDE = 2  # levels: what is found at one is good enough for the next but one
 _FINE = 56.0  # px: no level is needed on which a spot is larger
 _SOFT = 0.45  # of the height at the level before: an edge that is lower at the finer level has nothing finer to show
-_HEIGHT = 0.35  # of the typical height: what is less is not the same edge
+_HEIGHT = 0.35, 2.5  # of the typical height: what is less, or more, is not the same edge
+_BRIGHT = 0.8  # of the plateau's height: what is so bright is not the surroundings
 _TOLERANCE = 0.35, 0.02  # px of the level, and of the radius: what an ellipse may be off by itself
 _JITTER = 2.5  # by what the noise of the edges adds to that,
 _MAX_JITTER = 0.5, 0.04  # up to so many px, and of the radius
@@ -103,6 +104,12 @@ def trace(levels: list[Level], starts: Ellipses, found_at: NDArray[np.intp]) -> 
     return together(done)
 
 
+def polished(levels: list[Level], ellipse: Ellipses, sharpness: float) -> Ellipses:
+    """Return one ellipse, an array of one, drawn once more onto the edges at the level where it was judged."""
+    index = int(np.clip(np.ceil(np.log2(max(float(ellipse.size[0]) / _FINE, 1e-9))), 0, len(levels) - 1))
+    return ellipse if sharpness < _SOFT else _follow(levels[index], ellipse, _ROUNDS).ellipses
+
+
 def _finest(traced: Traced, count: int) -> NDArray[np.intp]:
     """Return the level (K,) that the size of each asks for: the finest on which it is not larger than need be."""
     return np.clip(np.ceil(np.log2(np.maximum(traced.ellipses.size / _FINE, 1e-9))), 0, count - 1).astype(np.intp)
@@ -133,15 +140,16 @@ def _follow(level: Level, ellipses: Ellipses, rounds: int) -> Traced:
     size = ellipses.size / level.factor
     limit = _TOLERANCE[0] + _TOLERANCE[1] * size
     limit = limit + np.minimum(_JITTER * _jitter(offset, height, typical), _MAX_JITTER[0] + _MAX_JITTER[1] * size)
-    good = seen & (height > _HEIGHT * typical[:, None]) & (np.abs(offset) < limit[:, None])
+    good = seen & (height > _HEIGHT[0] * typical[:, None]) & (np.abs(offset) < limit[:, None])
     # The edge that counts is the one that the ellipse is drawn on, not something stronger beside it.
     typical = np.where(good.sum(axis=1) > _NORMALS // 4, _typical(height, good), typical)
-    good &= height > _HEIGHT * typical[:, None]
+    good &= (height > _HEIGHT[0] * typical[:, None]) & (height < _HEIGHT[1] * typical[:, None])
+    plateau = _typical(beyond[..., 1], good)
     return Traced(
         ellipses,
         typical,
         (share * good).sum(axis=1),
-        (share * (~good & seen & (beyond > 0.5 * typical[:, None]))).sum(axis=1),
+        (share * (~good & seen & (beyond[..., 0] > _BRIGHT * plateau[:, None]))).sum(axis=1),
         (share * ~seen).sum(axis=1),
         np.ones(len(ellipses)),
     )
@@ -150,8 +158,8 @@ def _follow(level: Level, ellipses: Ellipses, rounds: int) -> Traced:
 def _edges(level: Level, ellipses: Ellipses) -> tuple[Array, Array, NDArray[np.bool_], Array, Array, Array]:
     """Return where along each normal (K, N) the brightness falls most, px of the level, and by how much.
 
-    Further: which normals are on the image, how much brighter than the darkest it is at their outer end, the normals
-    (K, N, 2) themselves and the share of the boundary that each stands for.
+    Further: which normals are on the image, how much brighter than the surroundings it is at their outer end and
+    where it is brightest (K, N, 2), the normals (K, N, 2) themselves and the share of the boundary of each.
     """
     points, normals, share = ellipses.at(_NORMALS)
     # Past the middle of a narrow ellipse lies its other side.
@@ -172,7 +180,8 @@ def _edges(level: Level, ellipses: Ellipses) -> tuple[Array, Array, NDArray[np.b
     bend = 2 * at - before - after
     fine = np.where(bend > 0, (after - before) / (2 * np.where(bend > 0, bend, 1)), 0)
     offset = middle[best[..., 0]] + _STEP * np.clip(fine, -0.5, 0.5)
-    beyond = grey[..., -1] - np.quantile(grey[..., -1], 0.25, axis=1)[:, None]
+    dark = np.sort(grey[..., -1], axis=1)[:, _NORMALS // 4]
+    beyond = np.stack([grey[..., -1], grey.max(axis=2)], axis=2) - dark[:, None, None]
     return offset, np.maximum(at, 0), seen, beyond, normals, share
 
 
@@ -187,7 +196,7 @@ def _typical(height: Array, which: NDArray[np.bool_]) -> Array:
 def _jitter(offset: Array, height: Array, typical: Array) -> Array:
     """Return the scatter (K,) of the edges' places from one normal to the next, which no smooth shape makes."""
     second = np.abs(np.roll(offset, 1, axis=1) - 2 * offset + np.roll(offset, -1, axis=1))
-    there = height > _HEIGHT * typical[:, None]
+    there = height > _HEIGHT[0] * typical[:, None]
     return _typical(second, there & np.roll(there, 1, axis=1) & np.roll(there, -1, axis=1)) / (0.6745 * np.sqrt(6.0))
 
 
