@@ -67,15 +67,15 @@ class TrueBoundary:
         return np.arctan2(away[:, 1], away[:, 0]), np.maximum(stands, 1e-3)
 
 
-def least_pose_covariance(rig: Rig, pose: SpotPose, per_pixel: float) -> Array:
+def least_pose_covariance(rig: Rig, pose: SpotPose, per_pixel: float, size_cost: float) -> Array:
     """Return the least covariance (3, 3) of (z_L, p, q) that the pixels allow; the rig is known.
 
     Parameters
     ----------
     rig, pose
         The truth.
-    per_pixel : float
-        Of `planeopt.spot.bound.boundary_sigma`, px.
+    per_pixel, size_cost : float
+        Of `planeopt.spot.bound`.
     """
     boundary = TrueBoundary.of(rig, pose)
     plane, step = np.array([pose.z_L, *pose.slopes]), 1e-5 * np.diag([pose.z_L, 1.0, 1.0])
@@ -84,7 +84,7 @@ def least_pose_covariance(rig: Rig, pose: SpotPose, per_pixel: float) -> Array:
         np.sum((_pixels(rig, plane + d) - _pixels(rig, plane - d)) * boundary.normals, axis=1) / (2 * d.sum())
         for d in step
     ]
-    return least_covariance(np.stack(moves, axis=1), boundary.lengths, per_pixel)
+    return least_covariance(np.stack(moves, axis=1), boundary.lengths, per_pixel, size_cost=size_cost)
 
 
 def _pixels(rig: Rig, plane: Array) -> Array:
@@ -100,22 +100,25 @@ class Deviation:
     ----------
     bias : float
         Mean signed distance of the points from the true boundary, px, positive outwards.
-    over_bound : float
-        RMS distance over the least standard deviation that points as far from each other can have.
-    low_over_bound : float
-        The same of what an ellipse can follow (size, centre, axes: five numbers), which is what a plane is made from:
-        square root of their squared Mahalanobis distance over 5, with the least covariance.
-    low_own : float
-        The same squared, with the covariance that the points' own sigma claims: chi-squared over 5 if that is honest.
+    points : float
+        Mean squared distance about that mean, over the least variance of points as far from each other.
+    size : float
+        The squared mean distance over its least variance.
+    shape : float
+        Squared Mahalanobis distance of what else an ellipse can follow (centre, axes: four numbers) by their least
+        covariance, over 4.
+    own : float
+        That of all five, with the covariance that the points' own sigma claims, over 5: chi-squared if that is honest.
     """
 
     bias: float
-    over_bound: float
-    low_over_bound: float
-    low_own: float
+    points: float
+    size: float
+    shape: float
+    own: float
 
 
-def deviation(spot: Spot, offsets: Array, truth: TrueBoundary, per_pixel: float) -> Deviation:
+def deviation(spot: Spot, offsets: Array, truth: TrueBoundary, per_pixel: float, size_cost: float) -> Deviation:
     """Compare the points with the truth.
 
     Parameters
@@ -125,18 +128,21 @@ def deviation(spot: Spot, offsets: Array, truth: TrueBoundary, per_pixel: float)
     offsets : (N,) array
         Signed distances of its points from the true boundary, px, positive outwards.
     truth : TrueBoundary
-    per_pixel : float
-        Least standard deviation of one pixel of boundary, px.
+    per_pixel, size_cost : float
+        Of `planeopt.spot.bound`.
     """
     assert spot.sigma is not None
     angle, stands = truth.share_of(spot.points)
     least = point_sigma(per_pixel, stands)
-    design = np.stack([np.ones_like(angle), np.cos(angle), np.sin(angle), np.cos(2 * angle), np.sin(2 * angle)], axis=1)
+    bias = float(np.average(offsets, weights=stands))
+    waves = np.stack([np.cos(angle), np.sin(angle), np.cos(2 * angle), np.sin(2 * angle)], axis=1)
+    design = np.concatenate([np.ones((len(angle), 1)), waves], axis=1)
     return Deviation(
-        bias=float(np.mean(offsets)),
-        over_bound=float(np.sqrt(np.mean((offsets / least) ** 2))),
-        low_over_bound=float(np.sqrt(_squared(design, offsets, least))),
-        low_own=_squared(design, offsets, spot.sigma),
+        bias=bias,
+        points=float(np.mean(((offsets - bias) / least) ** 2)),
+        size=bias**2 * stands.sum() / (per_pixel * size_cost) ** 2,
+        shape=_squared(waves, offsets - bias, least),
+        own=_squared(design, offsets, spot.sigma),
     )
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from planeopt.plane import SpotPose
 from planeopt.rig import Beam, Camera, Rig, SpotDefinition
 from planeopt.simulation import BeamProfile, Noise, Optics, Scene, Surface
-from planeopt.spot.bound import boundary_sigma
+from planeopt.spot.bound import boundary_sigma, size_cost
 from planeopt.spot.points import Kind
 
 Array = NDArray[np.float64]
@@ -180,6 +180,14 @@ class Lit:
         """Least standard deviation of one pixel of boundary, px; of the noise without shot noise."""
         noise = np.hypot(self.noise, np.sqrt(PIXEL_VARIANCE))
         return float(boundary_sigma(_kind(self.scene), self.contrast, noise, self.width_px, clip=self.clip))
+
+    @property
+    def size_cost(self) -> float:
+        """By what factor the size is known worse."""
+        if self.scene.beam.kind == "ring":
+            return 1.0
+        radius = self.scene.rig.require_beam().radius * self.scene.rig.camera.fx / self.scene.pose.z_L
+        return size_cost(radius, self.width_px, clip=self.clip)
 
 
 def draw_scene(view: View, look: Look, rng: np.random.Generator) -> Lit:

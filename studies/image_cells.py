@@ -48,14 +48,14 @@ class CellRow:
     images, refused : int
     bias_px, bias_error_px : float
         Mean signed distance of the points from the true boundary, and its standard error from the images' scatter.
-    over_bound : float
-        RMS distance of the points over their least standard deviation.
-    low_over_bound : float
-        RMS error of size, centre and axes over their least.
-    low_own : float
-        Their mean squared Mahalanobis distance over 5, by the points' own sigma.
+    points_over_bound : float
+        RMS distance of the points from their mean over its least.
+    size_over_bound, shape_over_bound : float
+        RMS error of the size, and of centre and axes, over its least.
+    own : float
+        Mean squared Mahalanobis distance of size, centre and axes over 5, by the points' own sigma.
     own_error : float
-        Standard error of `low_own` from the images' scatter.
+        Standard error of `own` from the images' scatter.
     reasons : str
         Why images were refused.
     """
@@ -70,9 +70,10 @@ class CellRow:
     refused: int
     bias_px: float
     bias_error_px: float
-    over_bound: float
-    low_over_bound: float
-    low_own: float
+    points_over_bound: float
+    size_over_bound: float
+    shape_over_bound: float
+    own: float
     own_error: float
     reasons: str
 
@@ -137,28 +138,30 @@ def measure_image(image: Image) -> Deviation | str:
         spot = find_spot(render(scene).image, scene.rig, camera_blur=lit.known_blur)
     except SpotNotFound as refusal:
         return refusal.reason.name.lower()
-    return deviation(
-        spot, boundary_distances(scene, spot.points), TrueBoundary.of(scene.rig, scene.pose), lit.per_pixel
-    )
+    except (ArithmeticError, ValueError, RuntimeError) as broken:
+        return f"broken:{type(broken).__name__}"
+    offsets, truth = boundary_distances(scene, spot.points), TrueBoundary.of(scene.rig, scene.pose)
+    return deviation(spot, offsets, truth, lit.per_pixel, lit.size_cost)
 
 
 def summary(cell: Cell, outcomes: Sequence[Deviation | str]) -> CellRow:
     """Return the row of a cell; its numbers are NaN where all images were refused."""
     found = [outcome for outcome in outcomes if isinstance(outcome, Deviation)]
     reasons = sorted({outcome for outcome in outcomes if isinstance(outcome, str)})
-    columns = np.array([[d.bias, d.over_bound**2, d.low_over_bound**2, d.low_own] for d in found]).reshape(-1, 4)
-    mean = columns.mean(axis=0) if found else np.full(4, np.nan)
-    error = columns.std(axis=0, ddof=1) / np.sqrt(len(found)) if len(found) > 1 else np.full(4, np.nan)
+    columns = np.array([[d.bias, d.points, d.size, d.shape, d.own] for d in found]).reshape(-1, 5)
+    mean = columns.mean(axis=0) if found else np.full(5, np.nan)
+    error = columns.std(axis=0, ddof=1) / np.sqrt(len(found)) if len(found) > 1 else np.full(5, np.nan)
     return CellRow(
         **{name: getattr(cell, name) for name in Cell.__dataclass_fields__},
         images=len(outcomes),
         refused=len(outcomes) - len(found),
         bias_px=float(mean[0]),
         bias_error_px=float(error[0]),
-        over_bound=float(np.sqrt(mean[1])),
-        low_over_bound=float(np.sqrt(mean[2])),
-        low_own=float(mean[3]),
-        own_error=float(error[3]),
+        points_over_bound=float(np.sqrt(mean[1])),
+        size_over_bound=float(np.sqrt(mean[2])),
+        shape_over_bound=float(np.sqrt(mean[3])),
+        own=float(mean[4]),
+        own_error=float(error[4]),
         reasons=" ".join(reasons),
     )
 

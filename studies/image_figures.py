@@ -37,14 +37,14 @@ def boundary_figure(rows: Sequence[CellRow]) -> Figure:
             yscale="symlog",
         )
         bias.set_yscale("symlog", linthresh=0.02)
-        _cells(noise, rows, lambda row: row.low_over_bound)
+        _cells(noise, rows, lambda row: row.shape_over_bound)
         noise.axhline(1.0, color="black", lw=0.8)
         noise.axhline(NOISE_OVER_BOUND, color="black", lw=0.8, ls=":")
-        noise.set(title="noise of size, centre and axes", ylabel="RMS error over the Cramér-Rao bound")
+        noise.set(title="noise of centre and axes", ylabel="RMS error over the Cramér-Rao bound")
         noise.set_yscale("log")
-        _cells(own, rows, lambda row: row.low_own, lambda row: row.own_error)
+        _cells(own, rows, lambda row: row.own, lambda row: row.own_error)
         own.axhline(1.0, color="black", lw=0.8)
-        own.set(title="the same by the points' own sigma", ylabel="mean squared error over own variance")
+        own.set(title="size, centre and axes by the points' own sigma", ylabel="mean squared error over own variance")
         own.set_yscale("log")
         bias.legend(loc="best", fontsize=8)
     return made
@@ -81,7 +81,7 @@ def _cells(axes: Axes, rows: Sequence[CellRow], value, error=None) -> None:
 
 def pose_figure(rows: Sequence[PoseRow]) -> Figure:
     """Draw how the hard cases ended, and the normalised errors of the plain ones against the normal distribution."""
-    wrong = sum(row.outcome in ("wrong", "degraded") for row in rows if row.case in HARD)
+    wrong = sum(row.outcome in ("wrong", "degraded", "broken") for row in rows if row.case in HARD)
     heading = f"From image to plane: {wrong} of {sum(row.case in HARD for row in rows)} hard images gave a wrong plane"
     with figure(12.0, 4.4, heading) as made:
         ends, quantiles = made.subplots(1, 2, width_ratios=(1, 1))
@@ -91,7 +91,7 @@ def pose_figure(rows: Sequence[PoseRow]) -> Figure:
 
 
 def _ends(axes: Axes, rows: Sequence[PoseRow]) -> None:
-    colours = {"right": DARK, "refused": FAINT, "degraded": LIGHT, "wrong": RED}
+    colours = {"right": DARK, "refused": FAINT, "degraded": LIGHT, "wrong": RED, "broken": "black"}
     names = list(HARD)
     left = np.zeros(len(names))
     for outcome, colour in colours.items():
@@ -102,7 +102,7 @@ def _ends(axes: Axes, rows: Sequence[PoseRow]) -> None:
     axes.invert_yaxis()
     axes.axvline(98, color="black", lw=0.8, ls=":")
     axes.set(xlabel="images (%); dotted: the 98 % asked for", title="right: within 4 own standard deviations")
-    axes.legend(loc="lower center", ncols=4, bbox_to_anchor=(0.5, -0.32))
+    axes.legend(loc="lower center", ncols=5, bbox_to_anchor=(0.5, -0.32))
 
 
 def _quantiles(axes: Axes, rows: Sequence[PoseRow]) -> None:

@@ -20,8 +20,8 @@ from planeopt.spot.points import Kind
 from studies.boundaries import least_pose_covariance
 from studies.draws import Lit, Look, Range, View, draw_scene
 
-Outcome = Literal["right", "refused", "degraded", "wrong"]
-"""Within 4 sigma; no plane; a plane beyond that with a status that warns of it; and without."""
+Outcome = Literal["right", "refused", "degraded", "wrong", "broken"]
+"""Within 4 sigma; no plane; a plane beyond that with a status that warns of it; and without; the computation broke."""
 
 SIGMAS = 4.0
 MAHALANOBIS = float(np.sqrt(scipy.stats.chi2.isf(2 * scipy.stats.norm.sf(SIGMAS), 3)))
@@ -164,8 +164,8 @@ def measure_pose(job: Job) -> PoseRow:
         solution = solve(spot, scene.rig)
     except SpotNotFound as refusal:
         return _row(job, "refused", reason=refusal.reason.name.lower())
-    except InputError as refusal:
-        return _row(job, "refused", reason=str(refusal).replace("\n", " "))
+    except (InputError, ArithmeticError, ValueError, RuntimeError) as broken:
+        return _row(job, "broken", reason=f"{type(broken).__name__}: {' '.join(str(broken).split())}")
     flags = " ".join(flag.name.lower() for flag in spot.flags)
     if solution.pose is None or solution.covariance is None or solution.status.record == "refused":
         return _row(job, "refused", reason=solution.status.name.lower(), flags=flags)
@@ -173,7 +173,7 @@ def measure_pose(job: Job) -> PoseRow:
     own = error / np.sqrt(np.diag(solution.covariance))
     over_bound = np.nan
     if job.case in _PIXELS_ALONE:
-        least = least_pose_covariance(scene.rig, scene.pose, lit.per_pixel)
+        least = least_pose_covariance(scene.rig, scene.pose, lit.per_pixel, lit.size_cost)
         over_bound = float(np.sqrt(error @ np.linalg.solve(least, error) / 3))
     beyond: Outcome = "degraded" if solution.status.record == "degraded" else "wrong"
     return PoseRow(

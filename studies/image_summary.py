@@ -24,7 +24,7 @@ class CaseRow:
     Attributes
     ----------
     case : str
-    images, right, refused, degraded, wrong : int
+    images, right, refused, degraded, wrong, broken : int
     right_mahalanobis : int
         By the distance in three dimensions instead of each component.
     least_right : int
@@ -39,6 +39,7 @@ class CaseRow:
     refused: int
     degraded: int
     wrong: int
+    broken: int
     right_mahalanobis: int
     least_right: int
     reasons: str
@@ -86,6 +87,7 @@ def cases_of(poses: Sequence[PoseRow]) -> list[CaseRow]:
                 refused=ends["refused"],
                 degraded=ends["degraded"],
                 wrong=ends["wrong"],
+                broken=ends["broken"],
                 right_mahalanobis=sum(row.mahalanobis <= MAHALANOBIS for row in members),
                 least_right=int(scipy.stats.binom.ppf(LEVEL / 2 / len(names), len(members), RIGHT)),
                 reasons=" ".join(f"{reason}:{count}" for reason, count in sorted(reasons.items())),
@@ -121,7 +123,14 @@ def honesty_of(poses: Sequence[PoseRow]) -> list[HonestyRow]:
 def finding(cells: Sequence[CellRow], cases: Sequence[CaseRow], honesty: Sequence[HonestyRow]) -> str:
     """Say what was found; every number comes from the tables."""
     plain, over = [c for c in cells if c.over == 1], [c for c in cells if c.over > 1]
-    low, points = np.array([c.low_over_bound for c in cells]), np.array([c.over_bound for c in cells])
+    noise = [
+        f"{what} {np.nanmedian(over_bound):.2f} times in the median cell, {np.nanmax(over_bound):.2f} in the worst"
+        for what, over_bound in (
+            ("of the points", np.array([c.points_over_bound for c in cells])),
+            ("of centre and axes", np.array([c.shape_over_bound for c in cells])),
+            ("of the size", np.array([c.size_over_bound for c in cells])),
+        )
+    ]
     hard = [case for case in cases if case.case != "plain"]
     images, right = sum(c.images for c in hard), sum(c.right for c in hard)
     lines = [
@@ -130,14 +139,12 @@ def finding(cells: Sequence[CellRow], cases: Sequence[CaseRow], honesty: Sequenc
         f"**Bias.** Over {len(plain)} cells ({sum(c.images for c in plain)} images) the largest mean signed distance "
         f"of the boundary is {_worst(plain)}; in the {len(over)} cells with twice full scale {_worst(over)}.",
         "",
-        f"**Noise.** The points' RMS distance is {np.nanmedian(points):.2f} times the bound in the median cell, "
-        f"{np.nanmax(points):.2f} times in the worst; size, centre and axes of the ellipse "
-        f"{np.nanmedian(low):.2f} times in the median, {np.nanmax(low):.2f} times in the worst. "
-        f"{sum(c.refused for c in cells)} of {sum(c.images for c in cells)} images were refused.",
+        f"**Noise over the Cramér-Rao bound**, RMS: {'; '.join(noise)}. {sum(c.refused for c in cells)} of "
+        f"{sum(c.images for c in cells)} images were refused.",
         "",
         f"**Hard cases.** {right} of {images} planes are right within 4 of their own standard deviations, "
         f"{sum(c.refused for c in hard)} refused, {sum(c.degraded for c in hard)} off with a warning, "
-        f"{sum(c.wrong for c in hard)} wrong:",
+        f"{sum(c.wrong for c in hard)} wrong, {sum(c.broken for c in hard)} broken:",
         "",
         "| case | images | right | refused | degraded | wrong | right by Mahalanobis |",
         "|---|---|---|---|---|---|---|",
