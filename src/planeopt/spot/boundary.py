@@ -1,34 +1,58 @@
 """From a candidate to sub-pixel boundary points with their noise."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from planeopt.spot import profiles as pro
+from planeopt.spot.adjustment import (
+    Fitted,
+    Freedom,
+    Model,
+    Segments,
+    Terms,
+    Widths,
+    fit_model,
+    noise_law,
+    see,
+    segments_of,
+    terms_of,
+)
+from planeopt.spot.band import Band, band_round
 from planeopt.spot.candidates import Candidate
+from planeopt.spot.grey import Grey
 from planeopt.spot.outline import Outline
 from planeopt.spot.points import Kind, NoSpotReason, SpotNotFound
+from planeopt.spot.profiles import Start, rough_boundary
 from planeopt.spot.scatter import inflation_of, scatter_about_ellipse
+from planeopt.spot.surfaces import waves
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Straighten = Callable[[Array], tuple[Array, Array]]
 """Raw pixels (N, 2) to pixels without distortion (N, 2) and the local stretch (N,)."""
 
-_ROUNDS = 3
-_MAX_NORMALS = 4000  # a spot beyond 1,200 px across gains nothing from more
-_BAD_PROFILE = 3.0  # times the median residual
-_GOOD_PROFILE = 0.02  # of the median height: a residual that is good enough, however small the noise
-_MIN_HEIGHT = 0.3  # of the median height
-_MIN_SHARE = 0.5  # of the boundary, else there is no saying what it is
+_ROUNDS = 4
+_STEPS = 6  # of Gauss-Newton, from a start
+_LAST_STEPS = 2  # from the solution on some of the pixels, with all of them
+_SETTLED = 0.05  # of the width: an ellipse that moves less is the same
+_SOME = 3000  # pixels: enough for a start
+_MOST = 30_000  # pixels that the shared parameters are fitted to
+_BAD_SEGMENT = 6.0  # robust standard deviations of the segments' misfit
+_GOOD_SEGMENT = 0.02  # of the plateau: a misfit that is good enough, however small the noise
+_MIN_SHARE = 0.35  # of the boundary: a shorter arc hardly holds an ellipse
 _MAX_SCATTER = 0.04  # of the ellipse's size: what scatters more is not one
-_MIN_BAND = 50  # pixels that can tell a slope
-_MIN_WIDTHS = 3.0  # of the profile, in half the spot: less never reaches a plateau
-_SIGMA_FLOOR = 1e-3  # px: the interpolation's own error
-_RING_BLUR = 1.0  # px: what a focused camera blurs; the rest of a laser line's width is its own
+_MIN_WIDTHS = 1.5  # of the profile, in half the spot: less never reaches a plateau
+_SIGMA_FLOOR = 1e-3  # px: what is left of the model's own error
+_CLIP = 3.0  # standard deviations below full scale: from there on clipping bends the noise
+_MARGIN, _MARGIN_PX = 0.25, 64  # of the spot's size, and px, that are looked at round it
+_WAVE = 30.0  # px of the boundary a wave of offset, plateau or background
+_MOST_WAVES = 6
+_NARROW = 6.0  # widths in half the spot: below, a plateau has hardly a shape
+_MIN_INFORMATION = 10.0  # times the usual variance: beyond, a segment shows no edge
+_SEEN_PLATEAU = 0.5  # of its pixels unclipped: else its shape is not known
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,55 +65,66 @@ class Boundary:
         Raw pixels.
     sigma : (N,) array
         px, inflated for correlation.
+    rejected : (M, 2) array
+        Points that were measured and left out.
     width : float
         Standard deviation of the profile, px.
     height, background : float
-        Medians, share of full scale.
+        Of the plateau (the ridge) and below it, share of full scale.
+    noise : float
+        Standard deviation of a pixel of the background, share of full scale.
     outline : Outline
         Fitted to the points.
     share : float
         Of the boundary that could be measured.
     outliers : float
-        Share of profiles that were there but did not fit.
+        Share of segments that were there but did not fit.
     excess : float
         Scatter about the ellipse over what the pixels' noise explains.
     inflation : float
         By which `sigma` exceeds the scatter because of correlation.
+    shared : float
+        By which it exceeds that because of what all points share: blur, plateau, background.
     curvature : float
         Largest curvature times `width`.
     ambiguity : float
-        Largest difference that the split of `width` into the beam's own softness and blur can make, px.
+        What the split of `width` into the beam's own softness and blur leaves open, px.
     """
 
     points: Array
     sigma: Array
+    rejected: Array
     width: float
     height: float
     background: float
+    noise: float
     outline: Outline
     share: float
     outliers: float
     excess: float
     inflation: float
+    shared: float
     curvature: float
     ambiguity: float
 
 
 def measure_boundary(
-    values: NDArray[np.float32],
+    grey: Grey,
     candidate: Candidate,
     *,
+    noise: float = 0.0,
     level: float = 0.5,
     camera_blur: float | None = None,
     straighten: Straighten | None = None,
 ) -> Boundary:
-    """Measure the boundary of a candidate along about one normal per pixel of its perimeter.
+    """Measure the boundary of a candidate in segments of about one pixel.
 
     Parameters
     ----------
-    values : (H, W) float32 array
-        Linear grey.
+    grey : Grey
     candidate : Candidate
+    noise : float
+        Standard deviation of a pixel, as a start.
     level : float
         Of a disc: the share of the plateau's height at which the boundary is; 0.5 is the half height.
     camera_blur : float, optional
@@ -102,151 +137,180 @@ def measure_boundary(
     SpotNotFound
         If too little of the boundary can be measured, or it is not an ellipse.
     """
-    outline, width = _rough(values, candidate)
-    values = _levelled(values, outline, width)
-    result = _measure(_lines(values, candidate.kind, outline, width), level, camera_blur, straighten)
-    for _ in range(_ROUNDS - 1):
-        if _moved(outline, result.outline) < 0.02 * result.width:
-            break
-        outline = result.outline
-        result = _measure(_lines(values, candidate.kind, outline, result.width), level, camera_blur, straighten)
-    if result.outline.b < _MIN_WIDTHS * result.width:
-        raise SpotNotFound(NoSpotReason.TOO_SMALL, f"It is {2 * result.outline.b:.1f} px across.")
-    return result
-
-
-def _moved(before: Outline, after: Outline) -> float:
-    return max(abs(getattr(before, name) - getattr(after, name)) for name in ("x", "y", "a", "b"))
+    view, outline = _View.of(grey, candidate)
+    start = rough_boundary(view.values, outline, candidate.kind, candidate.line_width)
+    state = _State.at_start(start, view.kind, noise, camera_blur)
+    settled, turn = False, 0
+    while not settled and turn < _ROUNDS:
+        before = state.outline
+        state = _improved(view, state)
+        settled = turn > 0 and _distance(before, state.outline) < _SETTLED * state.model.widths.mean
+        turn += 1
+    return _result(view, _fit(view, state, last=True), level, camera_blur, straighten)
 
 
 @dataclass(frozen=True, eq=False)
-class _Lines:
-    """Normals of an outline and the grey profiles along them; N normals, M samples each."""
+class _View:
+    """The part of the image that is looked at, and where its first pixel lies."""
 
+    values: NDArray[np.float32]
+    clipped: Mask | None
     kind: Kind
-    width: float
-    feet: Array
-    normals: Array
-    curvature: Array
-    t: Array
-    grey: Array
-    whole: Mask
+    origin: Array
 
     @classmethod
-    def of(
-        cls, values: NDArray[np.float32], kind: Kind, outline: Outline, width: float, reach: tuple[float, float]
-    ) -> "_Lines":
-        """Sample from `reach[0]` px inside to `reach[1]` px outside; `width` is what is known of the profile's."""
-        # Beyond the middle of a narrow spot lies the opposite edge.
-        inner = min(reach[0], 0.8 * outline.b)
-        count = int(np.clip(np.ceil(outline.perimeter), 24, _MAX_NORMALS))
-        feet, normals, curvature = outline.normals_at(count)
-        t = np.arange(-np.ceil(inner / pro.STEP), np.ceil(reach[1] / pro.STEP) + 1) * pro.STEP
-        places = feet[:, None, :] + normals[:, None, :] * t[:, None]
-        sample = pro.Sampler(values, _box(values, outline, reach[1]))
-        whole = np.asarray(sample.inside(places).all(axis=1))
-        return cls(kind, width, feet, normals, curvature, t, sample(places), whole)
-
-    def at(self, position: Array) -> Array:
-        """Return the points (N, 2) at these places (N,) along the normals."""
-        return self.feet + self.normals * position[:, None]
+    def of(cls, grey: Grey, candidate: Candidate) -> tuple["_View", Outline]:
+        """Return the part round a candidate, and the candidate's ellipse in it."""
+        e = candidate.outline
+        centre, half = np.array([e.x, e.y]), np.array(e.extent) + _MARGIN * e.size + _MARGIN_PX
+        low = np.maximum(np.floor(centre - half), 0).astype(int)
+        high = np.minimum(np.ceil(centre + half) + 1, grey.shape[::-1]).astype(int)
+        if np.any(high - low < 4):
+            raise SpotNotFound(NoSpotReason.TOUCHES_BORDER)
+        box = (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
+        view = cls(grey.crop(box), grey.crop_clipped(box), candidate.kind, low.astype(np.float64))
+        return view, e.moved(-view.origin)
 
 
-def _box(values: NDArray[np.float32], outline: Outline, reach: float) -> tuple[int, int, int, int]:
-    centre, half = np.array([outline.x, outline.y]), np.array(outline.extent) + reach + 3
-    low = np.maximum(np.floor(centre - half), 0).astype(int)
-    high = np.minimum(np.ceil(centre + half) + 1, values.shape[::-1]).astype(int)
-    if np.any(high - low < 4):
-        raise SpotNotFound(NoSpotReason.TOUCHES_BORDER)
-    return int(low[0]), int(low[1]), int(high[0]), int(high[1])
+@dataclass(frozen=True, eq=False)
+class _State:
+    """What is known so far: an ellipse, a model, and which of S segments of the boundary are the spot's."""
+
+    outline: Outline
+    model: Model
+    good: Mask
+
+    @classmethod
+    def at_start(cls, start: Start, kind: Kind, noise: float, camera_blur: float | None) -> "_State":
+        total = start.width**2
+        split = kind == "ring" or camera_blur is not None
+        free = Freedom(0, 0, 0, 0, 0, False, False, camera_blur is None, split)
+        if camera_blur is not None:
+            widths = Widths(camera_blur**2, max(total - camera_blur**2, 0.01))
+        else:
+            widths = Widths(total / 2, total / 2) if kind == "ring" else Widths(total)
+        law = np.array([max(noise, 1e-4) ** 2, 0.0, 0.0])
+        return cls(start.outline, Model(kind, free, widths, np.zeros(1), np.zeros(1), law), start.seen)
+
+    def good_of(self, count: int) -> Mask:
+        """Return which of so many segments are good: those at the same share of the perimeter."""
+        return self.good[(np.arange(count) * len(self.good)) // count]
 
 
-def _rough(values: NDArray[np.float32], candidate: Candidate) -> tuple[Outline, float]:
-    """Return the ellipse and the width from simple profile crossings, good to some tenths of a pixel."""
-    outline, width = candidate.outline, 1.0
-    reach = max(6.0, 0.12 * outline.size, 2.0 * candidate.line_width)
-    start = pro.half_level_start if candidate.kind == "disc" else pro.ridge_start
-    for _ in range(2):
-        lines = _Lines.of(values, candidate.kind, outline, width, (reach, reach))
-        position, height, width = start(lines.grey, lines.t)
-        use = np.isfinite(position) & (height > _MIN_HEIGHT * np.median(height))
-        _require_share(use)
-        points = lines.at(np.where(use, position, 0.0))
-        found = scatter_about_ellipse(points, np.ones(len(points)), use)
-        if found is None:
-            raise SpotNotFound(NoSpotReason.NOT_AN_ELLIPSE)
-        outline = found.outline
-        reach = max(4 * width + 3, 5.0)
-    return outline, width
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A model fitted to a band, and what each of S segments says: its point, and whether it is there and good."""
+
+    band: Band
+    fitted: Fitted
+    terms: Terms
+    usable: Mask
+    segments: Segments
+    points: Array
+    there: Mask
+    good: Mask
 
 
-def _levelled(values: NDArray[np.float32], outline: Outline, width: float) -> NDArray[np.float32]:
-    """Return the image less the slope of its background round the spot.
-
-    A slope of the background would move the boundary: on each normal it is taken to be level. A plane through the band
-    just outside the spot, where the profiles' own background lies; a third of it may be something else.
-    """
-    x0, y0, x1, y1 = _box(values, outline, 4 * width + 3)
-    x, y = np.meshgrid(np.arange(x0, x1, dtype=np.float64), np.arange(y0, y1, dtype=np.float64))
-    offset = outline.distances(np.stack([x.ravel(), y.ravel()], axis=1)).reshape(x.shape)
-    band = (offset > 2.5 * width + 1) & (offset < 4 * width + 3)
-    if band.sum() < _MIN_BAND:
-        return values
-    level = values[y0:y1, x0:x1][band].astype(np.float64)
-    design = np.stack([np.ones_like(x), x - outline.x, y - outline.y], axis=-1)
-    residual, plane = level - np.median(level), np.zeros(3)
-    for _ in range(3):
-        good = np.abs(residual) <= 4 / 0.6745 * np.median(np.abs(residual))
-        plane = np.linalg.lstsq(design[band][good], level[good], rcond=None)[0]
-        residual = level - design[band] @ plane
-    flat = values.copy()
-    flat[y0:y1, x0:x1] -= (design[..., 1:] @ plane[1:]).astype(np.float32)
-    return flat
+def _improved(view: _View, state: _State) -> _State:
+    """Fit to some of the pixels, and return the ellipse of all the segments."""
+    fit = _fit(view, state, last=False)
+    sigma = np.sqrt(np.where(np.isfinite(fit.segments.variance), fit.segments.variance, 1.0))
+    found = scatter_about_ellipse(fit.points, np.maximum(sigma, _SIGMA_FLOOR), fit.good)
+    if found is None:
+        raise SpotNotFound(NoSpotReason.NOT_AN_ELLIPSE)
+    # The law of the noise is that of the good segments: what is not the spot's is no noise.
+    inside = fit.usable & fit.good[fit.band.segment]
+    terms = fit.terms.part(inside)
+    seen = see(terms, fit.fitted.model)
+    law = noise_law(seen, terms.values - seen.value)
+    model = replace(fit.fitted.model, noise=law)
+    return _State(found.outline, model, fit.good)
 
 
-def _lines(values: NDArray[np.float32], kind: Kind, outline: Outline, width: float) -> _Lines:
-    outer = 4 * width + 3
+def _fit(view: _View, state: _State, *, last: bool) -> _Fit:
+    pixels, steps = (_MOST, _LAST_STEPS) if last else (_SOME, _STEPS)
+    outer = 4 * state.model.widths.mean + 3
     # The plateau's slope needs a longer lever inside than the background does outside.
-    return _Lines.of(values, kind, outline, width, (outer + 2 if kind == "disc" else outer, outer))
+    inner = outer + 2 if view.kind == "disc" else outer
+    band = band_round(view.values, view.clipped, state.outline, inner, outer)
+    good = state.good_of(band.count)
+    _require_share(good)
+    free = _freedom(state, band, good)
+    # The waves start anew: the ellipse has taken up what it could of them.
+    model = replace(state.model, freedom=free, offset=np.zeros(2 * free.waves + 1))
+    terms = terms_of(band, view.kind, free, model.widths)
+    chosen = good & _spread(band, good, pixels)
+    usable = _unclipped(band, band.values, model.noise[0])
+    fitted = fit_model(terms.part(usable & chosen[band.segment]), model, steps=steps)
+    if not usable.all():
+        # What is left out by what was measured is left out too often where the noise went up.
+        usable = _unclipped(band, see(terms, fitted.model).value, fitted.model.noise.sum())
+        fitted = fit_model(terms.part(usable & chosen[band.segment]), fitted.model, steps=steps)
+    if last:
+        fitted = fitted.pruned()
+    segments = segments_of(band, terms, fitted.model, usable)
+    there, good = _judged(segments, fitted.model)
+    offset = waves(segments.theta, 0, free.waves) @ fitted.model.offset + segments.offset
+    feet, normals, _ = band.outline.at(segments.theta)
+    return _Fit(band, fitted, terms, usable, segments, feet + normals * offset[:, None], there, good)
 
 
-def _measure(lines: _Lines, level: float, camera_blur: float | None, straighten: Straighten | None) -> Boundary:
-    reach = 0.7 * float(np.minimum(-lines.t[0], lines.t[-1]))
-    fit = pro.fit_profiles(lines.grey, lines.t, lines.kind, np.zeros(len(lines.feet)), lines.width, lines.whole)
-    there, use = _usable(fit, lines.whole, reach)
-    fit = pro.fit_profiles(lines.grey, lines.t, lines.kind, np.where(use, fit.position, 0.0), fit.width, use)
-    there, use = _usable(fit, lines.whole, reach)
-    shift, ambiguity = _shift(lines, fit.width, level, camera_blur)
-    points = lines.at(fit.position + shift)
-    # One noise for the whole image; what differs from normal to normal is the edge.
-    noise = float(np.sqrt(np.mean(fit.rms[use] ** 2)))
-    expected = np.maximum(np.sqrt(fit.variance) * noise, _SIGMA_FLOOR)
-    raw = scatter_about_ellipse(points, expected, use)
-    straight = raw
-    if straighten is not None:
-        flat, stretch = straighten(np.where(use[:, None], points, lines.feet))
-        straight = scatter_about_ellipse(flat, expected * stretch, use)
-    if raw is None or straight is None:
-        raise SpotNotFound(NoSpotReason.NOT_AN_ELLIPSE)
-    keep = straight.keep
-    _require_share(keep)
-    if straight.factor * float(np.median(expected[keep])) > _MAX_SCATTER * raw.outline.size:
-        raise SpotNotFound(NoSpotReason.NOT_AN_ELLIPSE)
-    inflation = inflation_of(straight.residuals, keep)
-    return Boundary(
-        points=points[keep],
-        sigma=expected[keep] * max(straight.factor, 1.0) * inflation,
-        width=fit.width,
-        height=float(np.median(fit.height[keep])),
-        background=float(np.median(fit.background[keep])),
-        outline=raw.outline,
-        share=float(keep.mean()),
-        outliers=float(1 - keep.sum() / there.sum()),
-        excess=straight.factor,
-        inflation=inflation,
-        curvature=float(lines.curvature[keep].max() * fit.width),
-        ambiguity=float(ambiguity[keep].max()),
+def _freedom(state: _State, band: Band, good: Mask) -> Freedom:
+    """Return what can be told from so much of a spot of that size."""
+    was, wide = state.model.freedom, band.outline.b / state.model.widths.mean
+    waves_seen = int(np.clip(band.outline.perimeter * good.mean() / _WAVE, 2, _MOST_WAVES))
+    degree, slopes = (1, False) if wide < _NARROW else (2, True)
+    plateau, plateau_waves, plateau_slopes = degree, waves_seen, slopes
+    if state.model.kind == "ring":
+        # A slope of its brightness cannot be told from another place of the ridge.
+        plateau, plateau_slopes = 0, False
+    elif band.clipped[band.u < -state.model.widths.mean].mean() > 1 - _SEEN_PLATEAU:
+        plateau, plateau_waves, plateau_slopes = 0, 0, False
+    return Freedom(
+        waves=waves_seen,
+        plateau=plateau,
+        plateau_waves=plateau_waves,
+        plateau_slopes=plateau_slopes,
+        background=degree,
+        background_waves=waves_seen,
+        background_slopes=slopes,
+        blur=was.blur,
+        line=was.line,
     )
+
+
+def _spread(band: Band, good: Mask, pixels: int) -> Mask:
+    """Return which of S segments to take so that their pixels are about so many, spread evenly."""
+    every = max(1, int(good[band.segment].sum()) // pixels)
+    return np.arange(band.count) % every == 0
+
+
+def _unclipped(band: Band, value: Array, noise: float) -> Mask:
+    """Return which pixels (M,) clipping leaves alone, where `value` (M,) is what they should be."""
+    if not band.clipped.any():
+        return np.ones(len(value), dtype=np.bool_)
+    return ~band.clipped & (value < 1.0 - _CLIP * np.sqrt(noise))
+
+
+def _judged(segments: Segments, model: Model) -> tuple[Mask, Mask]:
+    """Return which segments show the boundary at all, and which of them fit the model as well as the others.
+
+    A bad segment's neighbours within the profile's width see what it sees.
+    """
+    there = np.isfinite(segments.variance)
+    if not there.any():
+        raise SpotNotFound(NoSpotReason.NO_BOUNDARY)
+    there &= segments.variance < _MIN_INFORMATION * np.median(segments.variance[there])
+    misfit = segments.misfit
+    usual = float(np.median(misfit[there]))
+    spread = float(np.median(np.abs(misfit[there] - usual))) / 0.6745
+    least = (_GOOD_SEGMENT * model.plateau_height) ** 2 / float(model.noise[0])
+    bad = ~there | (misfit > max(usual + _BAD_SEGMENT * spread, least))
+    reach = int(np.ceil(model.widths.mean))
+    near = np.convolve(np.concatenate([bad[-reach:], bad, bad[:reach]]), np.ones(2 * reach + 1), "valid") > 0
+    good = ~near
+    _require_share(good)
+    return there, good
 
 
 def _require_share(use: Mask) -> None:
@@ -254,33 +318,55 @@ def _require_share(use: Mask) -> None:
         raise SpotNotFound(NoSpotReason.NO_BOUNDARY, f"{100 * use.mean():.0f} % of it could be.")
 
 
-def _usable(fit: pro.ProfileFit, whole: Mask, reach: float) -> tuple[Mask, Mask]:
-    """Return which normals show the boundary at all, and which of them fit the model as well as the others."""
-    height = float(np.median(fit.height[whole])) if whole.any() else 0.0
-    there = whole & (fit.height > _MIN_HEIGHT * height) & (np.abs(fit.position) < reach)
-    _require_share(there)
-    use = there & (fit.rms < max(_BAD_PROFILE * float(np.median(fit.rms[there])), _GOOD_PROFILE * height))
-    _require_share(use)
-    return there, use
+def _distance(before: Outline, after: Outline) -> float:
+    return max(abs(getattr(before, name) - getattr(after, name)) for name in ("x", "y", "a", "b"))
 
 
-def _shift(lines: _Lines, width: float, level: float, camera_blur: float | None) -> tuple[Array, Array]:
-    """Return what has to be added to the measured positions (N,), px outwards, and how far off it may be (N,), px.
-
-    Blurring by a Gaussian of standard deviation ``s`` moves the half height of a disc, and likewise the ridge of a
-    ring, towards the centre of curvature by ``curvature s^2 / 2``: along the tangent ``u`` the boundary recedes by
-    ``curvature u^2 / 2``, whose mean is that. Softness that the beam has itself moves nothing, so ``s`` is the camera's
-    blur alone. Where that is not known, a disc's width is taken to be all blur, a ring's up to a limit.
-    """
-    if camera_blur is not None:
-        blur, doubt = min(width, camera_blur), 0.0
-    elif lines.kind == "disc":
-        blur, doubt = width, width**2
-    else:
-        blur = min(width, _RING_BLUR)
-        doubt = max(blur**2, width**2 - blur**2)
-    shift = lines.curvature * blur**2 / 2
-    if lines.kind == "disc" and level != 0.5:
+def _result(view: _View, fit: _Fit, level: float, camera_blur: float | None, straighten: Straighten | None) -> Boundary:
+    kind = view.kind
+    model, segments = fit.fitted.model, fit.segments
+    width = model.widths.mean
+    _, normals, curvature = fit.band.outline.at(segments.theta)
+    points = fit.points + view.origin
+    if kind == "disc" and level != 0.5:
         # An iso-level of the edge's own error function.
-        shift = shift + width * ndtri(1 - level)
-    return shift, lines.curvature * doubt / 2
+        points = points + normals * (width * ndtri(1 - level))
+    expected = np.maximum(np.sqrt(np.where(fit.good, segments.variance, 1.0)), _SIGMA_FLOOR)
+    raw = scatter_about_ellipse(points, expected, fit.good)
+    straight = raw
+    if straighten is not None:
+        flat, stretch = straighten(
+            np.where(fit.good[:, None], points, fit.band.outline.at(segments.theta)[0] + view.origin)
+        )
+        straight = scatter_about_ellipse(flat, expected * stretch, fit.good)
+    if raw is None or straight is None:
+        raise SpotNotFound(NoSpotReason.NOT_AN_ELLIPSE)
+    keep = straight.keep
+    _require_share(keep)
+    if straight.factor * float(np.median(expected[keep])) > _MAX_SCATTER * raw.outline.size:
+        raise SpotNotFound(NoSpotReason.NOT_AN_ELLIPSE)
+    if raw.outline.b < _MIN_WIDTHS * width:
+        raise SpotNotFound(NoSpotReason.TOO_SMALL, f"It is {2 * raw.outline.b:.1f} px across.")
+    inflation = inflation_of(straight.residuals, keep)
+    shared = fit.fitted.shared_inflation
+    if kind == "ring" or camera_blur is not None:
+        ambiguity = float(curvature[keep].max()) * fit.fitted.blur_sigma / 2
+    else:
+        ambiguity = float(curvature[keep].max()) * width**2 / 2
+    return Boundary(
+        points=points[keep],
+        sigma=expected[keep] * max(straight.factor, 1.0) * inflation * shared,
+        rejected=points[fit.there & ~keep],
+        width=width,
+        height=model.plateau_height,
+        background=float(model.surface[model.freedom.places[0]]),
+        noise=float(np.sqrt(model.noise[0])),
+        outline=raw.outline,
+        share=float(keep.mean()),
+        outliers=float(1 - keep.sum() / max(fit.there.sum(), 1)),
+        excess=straight.factor,
+        inflation=inflation,
+        shared=shared,
+        curvature=float(curvature[keep].max() * width),
+        ambiguity=ambiguity,
+    )

@@ -1,0 +1,470 @@
+"""The model of a blurred edge or ridge, fitted to the pixels of the band round a spot.
+
+One blur round the spot, a plateau and a background that vary smoothly across it, and a boundary that departs from the
+ellipse by a few waves: all by weighted least squares (Gauss-Newton). Clipped pixels tell nothing and have no weight.
+"""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import scipy.linalg
+import scipy.optimize
+from numpy.typing import NDArray
+
+from planeopt.spot.band import Band
+from planeopt.spot.blurred import curved, is_gentle, profile, rendered
+from planeopt.spot.points import Kind
+from planeopt.spot.surfaces import surface, surface_slope, waves
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_ELLIPSE_WAVES = 2  # of the boundary's offset: what an ellipse can do, to first order
+_LEAST_VARIANCE = 0.04  # px^2: a pixel alone blurs more
+_SHARE, _SHARE_SIGMA = 0.5, 0.3  # of a ring's width that is blur, where the picture does not tell: anything from 0 to 1
+_N_ELLIPSE = 2 * _ELLIPSE_WAVES + 1
+_NEEDED = 9.24  # chi-squared of five slopes: exceeded by chance once in ten
+_CLASSES = 12  # of height, in which the noise is looked at
+_SETTLED = 1e-4  # of the width: a smaller step changes nothing
+
+
+@dataclass(frozen=True)
+class Widths:
+    """How wide the profile is: variances in px^2.
+
+    Parameters
+    ----------
+    blur : float
+        Of the camera, pixel included: the same all round; it moves a curved boundary.
+    line : float
+        Of the beam's own edge or line, at the ellipse's mean size; it moves nothing.
+    """
+
+    blur: float
+    line: float = 0.0
+
+    @property
+    def mean(self) -> float:
+        """Standard deviation of the profile, px, where the beam's own scale is the mean one."""
+        return float(np.sqrt(self.blur + self.line))
+
+    def total(self, stretch: Array) -> Array:
+        """Return the standard deviation (M,), px, where the beam's own scale is `stretch` (M,) times the mean."""
+        return np.sqrt(self.blur + self.line * stretch**2)
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """What is free in the fit.
+
+    Parameters
+    ----------
+    waves : int
+        Of the boundary's offset from the ellipse.
+    plateau, background : int
+        Degree of the surfaces.
+    plateau_waves, background_waves : int
+        Highest multiple of the angle in which they vary besides.
+    plateau_slopes, background_slopes : bool
+        Whether their slopes across the boundary are free in the waves that an ellipse has.
+    blur, line : bool
+        Whether these variances are free.
+    """
+
+    waves: int
+    plateau: int
+    background: int
+    plateau_waves: int
+    background_waves: int
+    plateau_slopes: bool
+    background_slopes: bool
+    blur: bool
+    line: bool
+
+    @property
+    def places(self) -> tuple[int, int]:
+        """Where among the surfaces' coefficients the levels of background and plateau are; slopes come before them."""
+        ground = _N_ELLIPSE * self.background_slopes + 2 * max(self.background_waves - self.background, 0)
+        top = _N_ELLIPSE * self.plateau_slopes + 2 * max(self.plateau_waves - self.plateau, 0)
+        return ground, ground + 2 * self.background + 1 + top
+
+    @property
+    def slopes(self) -> list[slice]:
+        """Where among the surfaces' coefficients the free slopes of background and plateau are."""
+        found = [slice(0, _N_ELLIPSE)] if self.background_slopes else []
+        first = self.places[0] + 2 * self.background + 1
+        return [*found, slice(first, first + _N_ELLIPSE)] if self.plateau_slopes else found
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A fitted band.
+
+    Parameters
+    ----------
+    kind : {"disc", "ring"}
+    freedom : Freedom
+    widths : Widths
+    offset : array
+        Coefficients of the boundary's waves, px.
+    surface : array
+        Coefficients of the background, then of the plateau, shares of full scale.
+    noise : (3,) array
+        Variance of a pixel: of the background, by the height over it, by that height squared.
+    """
+
+    kind: Kind
+    freedom: Freedom
+    widths: Widths
+    offset: Array
+    surface: Array
+    noise: Array
+
+    @property
+    def plateau_height(self) -> float:
+        """Of the plateau over the background at the spot's centre (of the ridge: its mean), share of full scale."""
+        height = float(self.surface[self.freedom.places[1]])
+        # A ring's light is that of a line of unit stretch, whose peak is lower the wider it is.
+        return height / self.widths.mean if self.kind == "ring" else height
+
+
+@dataclass(frozen=True, eq=False)
+class Terms:
+    """What of the model does not change while it is fitted; M pixels.
+
+    Parameters
+    ----------
+    u, curvature, values : (M,) array
+        As in `Band`.
+    stretch : (M,) array
+        By how much more than on average the beam's own scale is stretched across the boundary.
+    boundary : (M, n) array
+        Waves of the boundary's offset.
+    ground, top, slope : (M, n) array
+        Background; plateau; the plateau's derivative across the boundary, 1/px.
+    rest : (M,) array
+        What the rendered profile has more than the analytic one.
+    """
+
+    u: Array
+    curvature: Array
+    values: Array
+    stretch: Array
+    boundary: Array
+    ground: Array
+    top: Array
+    slope: Array
+    rest: Array
+
+    def part(self, keep: Mask) -> "Terms":
+        """Return the terms of these pixels (M,) alone."""
+        return Terms(*(getattr(self, field.name)[keep] for field in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A model in the pixels of a band; M pixels.
+
+    Parameters
+    ----------
+    value : (M,) array
+    height : (M,) array
+        Of the value over the background.
+    position : (M,) array
+        Derivative by the boundary's place, px outwards.
+    design : (M, n) array
+        Derivatives by the surfaces' coefficients.
+    by_blur, by_line : (M,) array
+        Derivatives by the variances.
+    """
+
+    value: Array
+    height: Array
+    position: Array
+    design: Array
+    by_blur: Array
+    by_line: Array
+
+
+def terms_of(band: Band, kind: Kind, free: Freedom, widths: Widths) -> Terms:
+    """Return the terms of a band for a model of these freedoms, its profile rendered with these widths."""
+    c, s = np.cos(band.theta), np.sin(band.theta)
+    stretch = 1.0 / (np.hypot(c / band.outline.a, s / band.outline.b) * band.outline.size)
+    ground, _ = _surface(band, free.background, free.background_waves, free.background_slopes)
+    top, slope = _surface(band, free.plateau, free.plateau_waves, free.plateau_slopes)
+    return Terms(
+        u=band.u,
+        curvature=band.curvature,
+        values=band.values,
+        stretch=stretch,
+        boundary=waves(band.theta, 0, free.waves),
+        ground=ground,
+        top=top,
+        slope=slope,
+        rest=_remainder(band, kind, widths, stretch),
+    )
+
+
+def _surface(band: Band, degree: int, highest: int, slopes: bool) -> tuple[Array, Array]:
+    """Return the terms (M, n) of a surface, and their derivatives (M, n) across the boundary, 1/px."""
+    size = band.outline.size
+    wavy = waves(band.theta, degree + 1, highest)
+    rising = waves(band.theta, 0, _ELLIPSE_WAVES if slopes else -1)
+    value = [rising * (band.u / size)[:, None], wavy, surface(band.places, degree)]
+    slope = [rising / size, np.zeros_like(wavy), surface_slope(band.places, band.normals, degree) / size]
+    return np.concatenate(value, axis=1), np.concatenate(slope, axis=1)
+
+
+def _remainder(band: Band, kind: Kind, widths: Widths, stretch: Array) -> Array:
+    blur, line = float(np.sqrt(widths.blur)), float(np.sqrt(widths.line))
+    if is_gentle(kind, band.outline, widths.mean):
+        return np.zeros(len(band.u))
+    level, _, _ = _profile(kind, band.u, band.curvature, stretch, widths)
+    return rendered(kind, band.outline, blur, line, band.box)[band.rows, band.columns] - level
+
+
+def _profile(
+    kind: Kind, u: Array, curvature: Array, stretch: Array, widths: Widths
+) -> tuple[Array, Array, tuple[Array, Array]]:
+    """Return the profile (M,), its slope inwards, and its derivatives by the variances of the blur and of the line."""
+    width = widths.total(stretch)
+    moved = curved(u, curvature, 1.0)
+    x = u + moved * np.clip(widths.blur, 0.0, width**2)
+    level, slope = profile(kind, x, width)
+    widening = slope * x / width
+    if kind == "ring":
+        # The same light in a line that is wider by its own scale, and lower as it is blurred.
+        peak = stretch / width
+        widening = peak * (widening - level / width)
+        level, slope = peak * level, peak * slope
+    widening = widening / (2 * width)
+    return level, slope, (widening - slope * moved, widening * stretch**2)
+
+
+def see(terms: Terms, model: Model) -> Seen:
+    """Return the model in the pixels of some terms."""
+    u = terms.u - terms.boundary @ model.offset
+    level, slope, (by_blur, by_line) = _profile(model.kind, u, terms.curvature, terms.stretch, model.widths)
+    level = level + terms.rest
+    # A plateau with a slope, blurred: the product of both, and by Stein's identity blur^2 times the product of slopes.
+    top = terms.top * level[:, None] - terms.slope * (model.widths.blur * slope)[:, None]
+    split = terms.ground.shape[1]
+    height, plateau = top @ model.surface[split:], terms.top @ model.surface[split:]
+    return Seen(
+        value=terms.ground @ model.surface[:split] + height,
+        height=height,
+        position=plateau * slope,
+        design=np.concatenate([terms.ground, top], axis=1),
+        by_blur=plateau * by_blur,
+        by_line=plateau * by_line,
+    )
+
+
+def variance(model: Model, seen: Seen) -> Array:
+    """Return the variance of each pixel's noise (M,)."""
+    height = np.maximum(seen.height, 0.0)
+    return model.noise[0] + model.noise[1] * height + model.noise[2] * height**2
+
+
+def noise_law(seen: Seen, residual: Array) -> Array:
+    """Return the variance of a pixel's noise as a polynomial (3,) of its height over the background, none negative.
+
+    By non-negative least squares on the mean squared residual in classes of height; a class counts by how well its mean
+    is known, which is in proportion to the mean itself. Read noise, shot noise and speckle are its three terms.
+    """
+    classes = np.array_split(np.argsort(seen.height), _CLASSES)
+    height = np.maximum(np.array([seen.height[members].mean() for members in classes]), 0.0)
+    mean = np.array([(residual[members] ** 2).mean() for members in classes])
+    mean = np.maximum(mean, max(1e-4 * float(mean.max()), 1e-14))
+    basis = np.stack([np.ones_like(height), height, height**2], axis=1)
+    expected, law = mean, np.zeros(3)
+    for _ in range(3):
+        law = scipy.optimize.nnls(basis / expected[:, None], mean / expected)[0]
+        law[0] = max(law[0], 0.01 * float(mean.min()))
+        expected = basis @ law
+    return law
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A fitted model and what the pixels say about it.
+
+    Parameters
+    ----------
+    model : Model
+    information : (n, n) array
+        Of the boundary's waves, the surfaces' coefficients and the free variances, in this order.
+    """
+
+    model: Model
+    information: Array
+
+    @property
+    def shared_inflation(self) -> float:
+        """By how much what all points share makes the ellipse less certain than each point's own noise says.
+
+        The largest ratio, over the changes that an ellipse can make, of its standard deviation with everything else
+        free to that with everything else known.
+        """
+        n, places = _N_ELLIPSE, self._shared
+        ellipse, shared = self.information[:n, :n], self.information[np.ix_(places, places)]
+        mixed = self.information[:n, places]
+        left = ellipse - mixed @ np.linalg.solve(shared, mixed.T)
+        least = float(scipy.linalg.eigh(left, ellipse, eigvals_only=True)[0])
+        return 1.0 / float(np.sqrt(max(least, 1e-6)))
+
+    def pruned(self) -> "Fitted":
+        """Return the fit without the free slopes, of background or plateau, that are not needed.
+
+        They say nearly the same as the place of the boundary does: to have them free costs half of what is known about
+        it, and to leave them out where they are needed moves it. They go where all of one surface together are what
+        noise makes of none in nine cases of ten; the other parameters follow as in a fit without them, to first order.
+        """
+        fit = self
+        for place in self.model.freedom.slopes:
+            fit = fit._without(place)
+        return fit
+
+    def _without(self, place: slice) -> "Fitted":
+        model, first = self.model, len(self.model.offset)
+        gone = np.arange(first + place.start, first + place.stop)
+        kept = np.setdiff1d(np.arange(len(self.information)), gone)
+        # An information of nought stands for what has gone before.
+        kept = kept[np.diag(self.information)[kept] > 0]
+        rest, mixed = self.information[np.ix_(kept, kept)], self.information[np.ix_(kept, gone)]
+        value = model.surface[place]
+        through = np.linalg.solve(rest, mixed)
+        left = self.information[np.ix_(gone, gone)] - mixed.T @ through
+        if float(value @ left @ value) > _NEEDED:
+            return self
+        change = np.zeros(len(self.information))
+        change[kept], change[gone] = through @ value, -value
+        information = self.information.copy()
+        information[gone] = information[:, gone] = 0.0
+        return Fitted(_moved(model, change)[0], information)
+
+    @property
+    def _shared(self) -> NDArray[np.intp]:
+        """Places of what all points share, among all parameters."""
+        first = len(self.model.offset)
+        return first + np.flatnonzero(np.diag(self.information)[first:] > 0)
+
+    @property
+    def blur_sigma(self) -> float:
+        """Standard deviation of the blur's variance, px^2; 0 where it is given."""
+        if not self.model.freedom.blur:
+            return 0.0
+        places = np.concatenate([np.arange(_N_ELLIPSE), self._shared])
+        place = -2 if self.model.freedom.line else -1
+        return float(np.sqrt(np.diag(np.linalg.inv(self.information[np.ix_(places, places)]))[place]))
+
+
+def fit_model(terms: Terms, model: Model, *, steps: int) -> Fitted:
+    """Fit a model to pixels, from a start whose `surface` does not matter.
+
+    Parameters
+    ----------
+    terms : Terms
+        Of the pixels that count.
+    model : Model
+        Start: its widths, offset and noise.
+    steps : int
+        Of Gauss-Newton, at most.
+    """
+    ground = terms.ground.shape[1]
+    blank = replace(model, surface=np.zeros(ground + terms.top.shape[1]))
+    design = see(terms, blank).design
+    square = design.T @ design
+    square += 1e-12 * float(np.trace(square)) * np.eye(len(square))
+    model = replace(model, surface=np.linalg.solve(square, design.T @ terms.values))
+    information = np.eye(1)
+    for step in range(steps):
+        information, right = _normal_equations(terms, model)
+        scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+        # What the pixels do not tell stays where it is.
+        tamed = information * scale * scale[:, None] + 1e-12 * np.eye(len(scale))
+        change = np.linalg.solve(tamed, right * scale) * scale
+        model, size = _moved(model, change)
+        if step > 0 and size < _SETTLED:
+            break
+    return Fitted(model, information)
+
+
+def _normal_equations(terms: Terms, model: Model) -> tuple[Array, Array]:
+    seen = see(terms, model)
+    root = 1 / np.sqrt(variance(model, seen))
+    columns = [seen.position[:, None] * terms.boundary, seen.design]
+    columns += [seen.by_blur[:, None]] * model.freedom.blur + [seen.by_line[:, None]] * model.freedom.line
+    jacobian = np.concatenate(columns, axis=1) * root[:, None]
+    information, right = jacobian.T @ jacobian, jacobian.T @ ((terms.values - seen.value) * root)
+    if model.freedom.blur and model.freedom.line:
+        total = model.widths.blur + model.widths.line
+        row = np.zeros(len(right))
+        row[-2:] = np.array([1 - _SHARE, -_SHARE]) / (_SHARE_SIGMA * total)
+        information += np.outer(row, row)
+        right -= row * (row[-2] * model.widths.blur + row[-1] * model.widths.line)
+    return information, right
+
+
+def _moved(model: Model, change: Array) -> tuple[Model, float]:
+    """Return the model a step further, and how far that is in units of its width."""
+    n, m = len(model.offset), len(model.offset) + len(model.surface)
+    widths, rates = model.widths, list(change[m:])
+    total = widths.blur + widths.line
+    size = float(np.abs(change[:n]).sum()) / np.sqrt(total)
+    # Beyond its own width a profile tells nothing about where it is.
+    damping = min(1.0, 1.0 / max(size, 1e-12))
+    blur, line = widths.blur, widths.line
+    if model.freedom.blur:
+        blur = max(blur + float(np.clip(rates.pop(0), -0.5 * total, total)), _LEAST_VARIANCE)
+    if model.freedom.line:
+        line = max(line + float(np.clip(rates.pop(0), -0.5 * total, total)), 0.0)
+    moved = replace(
+        model,
+        widths=Widths(blur, line),
+        offset=model.offset + damping * change[:n],
+        surface=model.surface + change[n:m],
+    )
+    return moved, max(size, abs(blur - widths.blur) / total, abs(line - widths.line) / total)
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """What each segment of the boundary says by itself; S segments.
+
+    Parameters
+    ----------
+    offset : (S,) array
+        Of the boundary from the model's, px outwards: one weighted least-squares step.
+    variance : (S,) array
+        Of `offset`, px^2; infinite where nothing is known.
+    misfit : (S,) array
+        Mean squared residual over the expected variance.
+    theta : (S,) array
+        Eccentric angle of what was seen, weighted by what it says about the place.
+    """
+
+    offset: Array
+    variance: Array
+    misfit: Array
+    theta: Array
+
+
+def segments_of(band: Band, terms: Terms, model: Model, keep: Mask) -> Segments:
+    """Return what the kept pixels (M,) of each segment say about the boundary's place, all else being the model's."""
+    seen = see(terms, model)
+    weight = keep / variance(model, seen)
+    residual = terms.values - seen.value
+    power, n = weight * seen.position**2, band.count
+    information = np.bincount(band.segment, power, n)
+    known = information > 0
+    safe = np.where(known, information, 1.0)
+    pixels = np.maximum(np.bincount(band.segment, keep.astype(np.float64), n), 1.0)
+    # The first segment begins at angle 0: none holds the jump from 2 pi to it.
+    theta = np.bincount(band.segment, power * np.mod(band.theta, 2 * np.pi), n) / safe
+    return Segments(
+        offset=np.bincount(band.segment, weight * seen.position * residual, n) / safe,
+        variance=np.where(known, 1 / safe, np.inf),
+        misfit=np.bincount(band.segment, weight * residual**2, n) / pixels,
+        theta=theta,
+    )

@@ -1,0 +1,144 @@
+"""The pixels round a spot's boundary, in the boundary's own coordinates."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planeopt.spot.outline import Outline
+from planeopt.spot.points import NoSpotReason, SpotNotFound
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_MAX_SEGMENTS = 3000  # of a perimeter beyond that, each is longer than a pixel
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """Pixels near an ellipse; M pixels, in S segments of equal length along the boundary.
+
+    Parameters
+    ----------
+    outline : Outline
+        The ellipse.
+    box : tuple of int
+        ``x0, y0, x1, y1`` of the part of the image that holds them, upper ends excluded.
+    rows, columns : (M,) int array
+        Places within the box.
+    values : (M,) array
+        Grey values.
+    clipped : (M,) bool array
+        At full scale.
+    u : (M,) array
+        Distance from the ellipse, px, positive outside.
+    theta : (M,) array
+        Eccentric angle of the nearest point of the ellipse.
+    normals : (M, 2) array
+        Outward, at that point.
+    curvature : (M,) array
+        Of the ellipse at that point, 1/px.
+    segment : (M,) int array
+        Number of the segment of that point.
+    count : int
+        S.
+    """
+
+    outline: Outline
+    box: tuple[int, int, int, int]
+    rows: NDArray[np.intp]
+    columns: NDArray[np.intp]
+    values: Array
+    clipped: Mask
+    u: Array
+    theta: Array
+    normals: Array
+    curvature: Array
+    segment: NDArray[np.intp]
+    count: int
+
+    def part(self, keep: Mask) -> "Band":
+        """Return the band with these pixels (M,) alone."""
+        return Band(
+            self.outline,
+            self.box,
+            self.rows[keep],
+            self.columns[keep],
+            self.values[keep],
+            self.clipped[keep],
+            self.u[keep],
+            self.theta[keep],
+            self.normals[keep],
+            self.curvature[keep],
+            self.segment[keep],
+            self.count,
+        )
+
+    @property
+    def places(self) -> Array:
+        """(M, 2) array: the pixels' centres relative to the ellipse's, in units of the ellipse's size."""
+        x = self.columns + (self.box[0] - self.outline.x)
+        y = self.rows + (self.box[1] - self.outline.y)
+        return np.asarray(np.stack([x, y], axis=1) / self.outline.size, dtype=np.float64)
+
+
+def band_round(values: NDArray[np.float32], clipped: Mask | None, outline: Outline, inner: float, outer: float) -> Band:
+    """Return the pixels from `inner` px inside an ellipse to `outer` px outside it.
+
+    Raises
+    ------
+    SpotNotFound
+        If the ellipse lies outside the image.
+    """
+    height, width = values.shape
+    wide, high = outline.extent
+    x0, y0 = max(int(outline.x - wide - outer), 0), max(int(outline.y - high - outer), 0)
+    x1, y1 = min(int(outline.x + wide + outer) + 2, width), min(int(outline.y + high + outer) + 2, height)
+    if x1 - x0 < 4 or y1 - y0 < 4:
+        raise SpotNotFound(NoSpotReason.TOUCHES_BORDER)
+    rows, columns = _near(outline, (x0, y0, x1, y1), inner, outer)
+    u, theta = outline.nearest(np.stack([columns + x0, rows + y0], axis=1).astype(np.float64))
+    keep = (u >= -inner) & (u <= outer)
+    rows, columns, u, theta = rows[keep], columns[keep], u[keep], theta[keep]
+    _, normals, curvature = outline.at(theta)
+    count = int(np.clip(np.ceil(outline.perimeter), 16, _MAX_SEGMENTS))
+    segment = np.minimum((outline.share_before(theta) * count).astype(np.intp), count - 1)
+    part = values[y0:y1, x0:x1]
+    full = np.zeros(len(rows), dtype=np.bool_) if clipped is None else clipped[y0:y1, x0:x1][rows, columns]
+    return Band(
+        outline,
+        (x0, y0, x1, y1),
+        rows,
+        columns,
+        part[rows, columns].astype(np.float64),
+        full,
+        u,
+        theta,
+        normals,
+        curvature,
+        segment,
+        count,
+    )
+
+
+def _near(
+    outline: Outline, box: tuple[int, int, int, int], inner: float, outer: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return rows and columns of the pixels between two ellipses that hold the band between them.
+
+    Where both semi-axes grow by d, the boundary moves by d at the axes' ends and by down to 2 sqrt(ab)/(a+b) of that
+    between them: that much further the two have to be.
+    """
+    reach = (outline.a + outline.b) / (2 * outline.size)
+    inner, outer = inner * reach, outer * reach
+    x0, y0, x1, y1 = box
+    x = np.arange(x0, x1, dtype=np.float32) - np.float32(outline.x)
+    y = (np.arange(y0, y1, dtype=np.float32) - np.float32(outline.y))[:, None]
+    (c, _), (s, _) = outline.axes.astype(np.float32)
+    p, q = (c * x + s * y) ** 2, (c * y - s * x) ** 2
+    wanted = p / np.float32((outline.a + outer) ** 2) + q / np.float32((outline.b + outer) ** 2) <= 1
+    a, b = outline.a - inner, outline.b - inner
+    if b > 0 and outline.b**2 / outline.a > inner:
+        wanted &= p / np.float32(a**2) + q / np.float32(b**2) >= 1
+    rows, columns = np.nonzero(wanted)
+    return rows, columns
