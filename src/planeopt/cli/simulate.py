@@ -58,7 +58,10 @@ def simulate(
                 f"{source}: is read in this run and would be written over; name another folder than {output}"
             )
     with output_folder(output, force=force) as folder:
-        _write(loaded, folder)
+        try:
+            _write(loaded, folder)
+        except InputError as error:
+            raise InputError(f"{scene}: {error}") from error
     return 0
 
 

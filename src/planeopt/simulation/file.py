@@ -96,10 +96,11 @@ class SceneFile(Table, frozen=True):
     laser_off : bool
         Whether to make an image without laser for each.
     seed : int
-        Of all that is random.
+        Of all that is random, at most 2^53.
     beam, optics, surface, noise, sensor, clutter, sweep
         Tables, each of which may be left out.
     occlusion : list of tables
+        What lies between the camera and the spot.
     """
 
     rig: str | dict[str, Any]
@@ -141,15 +142,16 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     except msgspec.ValidationError as error:
         raise InputError(f"{file}: {_in_words(str(error))}") from error
     rig = _rig(tables.rig, file)
-    try:
-        rig.require_beam()
-        plane = tables.plane.plane(rig)
-    except InputError as error:
-        raise InputError(f"{file}: {error}") from error
     shared = {name: getattr(tables, name) for name in _SHARED} | {"occlusions": tables.occlusion}
     if tables.beam is not None:
         shared["beam"] = tables.beam
-    return Scene.of(rig, plane, **shared)
+    try:
+        rig.require_beam()
+        scene = Scene.of(rig, tables.plane.plane(rig), **shared)
+        _ = scene.pose  # that there is one
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from error
+    return scene
 
 
 def scene_sources(path: str | os.PathLike[str]) -> list[Path]:
@@ -215,6 +217,8 @@ def _in_words(message: str) -> str:
     if found := re.fullmatch(r"Expected `(.+)`, got `(.+)`", what):
         wanted = " or ".join(_TYPES.get(name, name) for name in found[1].split(" | ") if name != "null")
         return f"{key or 'the file'} must be {wanted}, not {_TYPES.get(found[2], found[2])}"
+    if found := re.fullmatch(r"Expected `array` of length (\d+), got (\d+)", what):
+        return f"{key} must be a list of {found[1]}, not of {found[2]}"
     if found := re.fullmatch(r"Expected `\w+` (>=|>|<=|<) (.+)", what):
         return f"{key} must be {_LIMITS[found[1]]} {found[2]}"
     if what.startswith("Invalid enum value"):
@@ -275,9 +279,3 @@ def _without_none(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: _without_none(part) for name, part in value.items() if part is not None}
     return [_without_none(part) for part in value] if isinstance(value, list | tuple) else value
-
-
-def scene_schema() -> dict[str, Any]:
-    """Return the JSON schema of `scene.toml`, as it is shipped beside this module."""
-    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "planeopt scene"}
-    return head | msgspec.json.schema(SceneFile)

@@ -16,7 +16,7 @@ from scipy.special import ndtr, ndtri
 
 from planeopt.errors import InputError
 from planeopt.simulation.geometry import FAR, View
-from planeopt.simulation.profiles import irradiance, plateau, reach
+from planeopt.simulation.profiles import irradiance, is_even, plateau, reach, unevenness
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -122,12 +122,13 @@ def spot_patch(view: View, rng: np.random.Generator) -> Patch:
     pixels = _survey(
         view, left - sampling.margin, top - sampling.margin, right + sampling.margin, bottom + sampling.margin
     )
-    # Far outside there is no light; clipping keeps polynomials of what lies behind the horizon finite.
+    # Far outside there is no light; clipping keeps waves and polynomials of what lies behind the horizon finite.
     across, down = np.clip(pixels.xi, -2 * outer, 2 * outer)
-    level = plateau(beam, radius, across, down, rng)
-    active = _active(pixels, inner, outer)
-    values = np.where((pixels.rho < 1) & (beam.kind != "ring") & ~active, level, 0.0)
-    fine = _fine_values(view, pixels, level, active, sampling)
+    uneven = unevenness(beam, across, down, rng)
+    active = _active(pixels, 0.0 if beam.fringes > 0 else inner, outer)
+    flat = (pixels.rho < 1) & (beam.kind != "ring") & ~active
+    values = np.where(flat, plateau(beam, radius, across, down, uneven), 0.0)
+    fine = _fine_values(view, pixels, uneven, active, sampling)
     light = _sum(values, active, fine, sampling)
     return Patch(left, top, light)
 
@@ -207,7 +208,7 @@ def _active(pixels: _Pixels, inner: float, outer: float) -> Mask:
     return (near | ((pixels.rho > inner) & (pixels.rho < outer))) & (pixels.rho < FAR)
 
 
-def _fine_values(view: View, pixels: _Pixels, level: Array, active: Mask, sampling: _Sampling) -> Array:
+def _fine_values(view: View, pixels: _Pixels, uneven: Array, active: Mask, sampling: _Sampling) -> Array:
     """Return the light at the samples (n, s, s) of the active pixels: rows, then columns."""
     scene = view.scene
     beam, radius = scene.beam, scene.rig.require_beam().radius
@@ -223,9 +224,10 @@ def _fine_values(view: View, pixels: _Pixels, level: Array, active: Mask, sampli
         edge = irradiance(beam, radius, first, second)
     else:
         edge = _smoothed_edge(view, pixels, active, rays, sampling.closed)
-    if np.ptp(level) > 0:
-        down, right = (np.gradient(level, axis=axis)[active, None] for axis in (0, 1))
-        edge *= np.maximum(level[active, None] + right * x + down * y, 0.0)
+    if not is_even(beam):
+        # The random part is smooth: linear within a pixel will do.
+        down, right = (np.gradient(uneven, axis=axis)[active, None] for axis in (0, 1))
+        edge *= plateau(beam, radius, *view.xi(rays[0], rays[1])[:2], uneven[active, None] + right * x + down * y)
     return edge.reshape(-1, sampling.factor, sampling.factor)
 
 

@@ -71,19 +71,39 @@ def _radial(beam: BeamProfile, radius: float, rho: Array) -> Array:
     return ndtr((1 - rho) * (radius / beam.edge_mm) + float(ndtri(beam.level)))
 
 
-def plateau(beam: BeamProfile, radius: float, x: Array, y: Array, rng: np.random.Generator) -> Array:
-    """Return the relative brightness (...), smooth and not negative, at places of the cross-section (in radii)."""
-    value = 1 + beam.slope[0] * x + beam.slope[1] * y + beam.bowl * (x * x + y * y)
-    if beam.unevenness > 0:
-        # A sum of plane waves with normal wave vectors has a Gaussian autocorrelation of that correlation length.
-        waves = rng.normal(0, 1 / beam.unevenness_radii, (_WAVES, 2))
-        phases = rng.uniform(0, math.tau, _WAVES)
-        total = np.zeros_like(x)
-        for (kx, ky), phase in zip(waves, phases, strict=True):
-            total += np.cos(kx * x + ky * y + phase)
-        value = value + beam.unevenness * math.sqrt(2 / _WAVES) * total
+def is_even(beam: BeamProfile) -> bool:
+    """Whether the plateau has one brightness."""
+    return beam.slope == (0.0, 0.0) and beam.bowl == 0 and beam.unevenness == 0 and beam.fringes == 0
+
+
+def plateau(beam: BeamProfile, radius: float, x: Array, y: Array, random_part: Array | float) -> Array:
+    """Return the relative brightness (...), not negative, at places of the cross-section (in radii).
+
+    Parameters
+    ----------
+    beam : BeamProfile
+    radius : float
+        Of the beam, mm.
+    x, y : ndarray, shape (...)
+    random_part : ndarray or float
+        See `unevenness`.
+    """
+    value = 1 + beam.slope[0] * x + beam.slope[1] * y + beam.bowl * (x * x + y * y) + random_part
     if beam.fringes > 0:
         direction = math.radians(beam.fringe_deg)
         phase = math.tau * radius / beam.fringe_mm * (x * math.cos(direction) + y * math.sin(direction))
         value = value * (1 + beam.fringes * np.cos(phase))
     return np.maximum(value, 0.0)
+
+
+def unevenness(beam: BeamProfile, x: Array, y: Array, rng: np.random.Generator) -> Array:
+    """Return the random part (...) of the plateau's relative brightness at places of the cross-section (in radii)."""
+    total = np.zeros_like(x)
+    if beam.unevenness == 0:
+        return total
+    # A sum of plane waves with normal wave vectors has a Gaussian autocorrelation of that correlation length.
+    waves = rng.normal(0, 1 / beam.unevenness_radii, (_WAVES, 2))
+    phases = rng.uniform(0, math.tau, _WAVES)
+    for (kx, ky), phase in zip(waves, phases, strict=True):
+        total += np.cos(kx * x + ky * y + phase)
+    return beam.unevenness * math.sqrt(2 / _WAVES) * total

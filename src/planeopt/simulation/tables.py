@@ -37,7 +37,11 @@ class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 def _check(key: str, value: Any, hint: Any) -> None:
     """Raise an `InputError` that names the key where a number is not finite or outside its limits."""
-    if value is None or isinstance(value, str | bool | Table):
+    if get_origin(hint) is Literal:
+        if value not in get_args(hint):
+            raise InputError(f"{key} must be one of {', '.join(map(str, get_args(hint)))}, not {value!r}")
+        return
+    if value is None or isinstance(value, str | bool | dict | Table):
         return
     if isinstance(value, tuple):
         inner = get_args(hint)
@@ -51,6 +55,8 @@ def _check(key: str, value: Any, hint: Any) -> None:
             raise InputError(f"{key} must be at least {limit.ge}, not {value}")
         if limit.gt is not None and value <= limit.gt:
             raise InputError(f"{key} must be above {limit.gt}, not {value}")
+        if limit.lt is not None and value >= limit.lt:
+            raise InputError(f"{key} must be below {limit.lt}, not {value}")
         if limit.le is not None and value > limit.le:
             raise InputError(f"{key} must be at most {limit.le}, not {value}")
 
