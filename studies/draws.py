@@ -1,7 +1,8 @@
 """Random rigs, planes and scenes whose spot has a wanted size and look in the image, from a seed."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -165,6 +166,10 @@ class Lit:
     noise: float
     width_px: float
     clip: float
+
+    def changed(self, **parts: object) -> "Lit":
+        """Return this with parts of the scene replaced."""
+        return replace(self, scene=msgspec.structs.replace(self.scene, **parts))
 
     @property
     def known_blur(self) -> float | None:

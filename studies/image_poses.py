@@ -91,7 +91,7 @@ def _speckle(seed: int) -> Lit:
     look = Look(Range(60, 150), Range(1, 2), full_well_electrons=10_000.0)
     lit, _ = _lit(seed, "speckle", look, SIZES)
     noise = msgspec.structs.replace(lit.scene.noise, speckle=0.35, speckle_grain_px=1.2)
-    return _with(lit, noise=noise)
+    return lit.changed(noise=noise)
 
 
 def _occlusion(seed: int) -> Lit:
@@ -100,12 +100,12 @@ def _occlusion(seed: int) -> Lit:
     # Black, as bright as the surface, or brighter than it.
     brightness = (0.0, lit.scene.surface.background, 0.3)[seed // 3 % 3]
     hidden = Occlusion(shape=shapes[int(rng.integers(3))], share=0.35, brightness=brightness)
-    return _with(lit, occlusions=(hidden,))
+    return lit.changed(occlusions=(hidden,))
 
 
 def _distractors(seed: int) -> Lit:
     lit, _ = _lit(seed, "distractors", BRIGHT, SIZES)
-    return _with(lit, clutter=Clutter(count=12, height_range=(0.3, 1.2), size_range_px=(2.0, 25.0)))
+    return lit.changed(clutter=Clutter(count=12, height_range=(0.3, 1.2), size_range_px=(2.0, 25.0)))
 
 
 def _faint(seed: int) -> Lit:
@@ -113,7 +113,7 @@ def _faint(seed: int) -> Lit:
     lit, rng = _lit(seed, "faint", look, SIZES)
     slope = rng.uniform(-0.25, 0.25, 2).tolist()
     surface = Surface(background=lit.scene.surface.background, gradient=(slope[0], slope[1]))
-    return _with(lit, surface=surface)
+    return lit.changed(surface=surface)
 
 
 def _saturated(seed: int) -> Lit:
@@ -122,10 +122,6 @@ def _saturated(seed: int) -> Lit:
 
 def _small(seed: int) -> Lit:
     return _lit(seed, "small", BRIGHT, Range.at(14.0))[0]
-
-
-def _with(lit: Lit, **changes: object) -> Lit:
-    return Lit(msgspec.structs.replace(lit.scene, **changes), lit.contrast, lit.noise, lit.width_px, lit.clip)
 
 
 CASES: dict[str, Callable[[int], Lit]] = {

@@ -8,6 +8,7 @@ import numpy as np
 import scipy.stats
 
 from studies.image_cells import CellRow
+from studies.image_flags import FlagRow
 from studies.image_poses import MAHALANOBIS, PoseRow
 
 LEVEL = 0.001
@@ -120,7 +121,9 @@ def honesty_of(poses: Sequence[PoseRow]) -> list[HonestyRow]:
     return rows
 
 
-def finding(cells: Sequence[CellRow], cases: Sequence[CaseRow], honesty: Sequence[HonestyRow]) -> str:
+def finding(
+    cells: Sequence[CellRow], cases: Sequence[CaseRow], honesty: Sequence[HonestyRow], flags: Sequence[FlagRow]
+) -> str:
     """Say what was found; every number comes from the tables."""
     plain, over = [c for c in cells if c.over == 1], [c for c in cells if c.over > 1]
     noise = [
@@ -146,10 +149,11 @@ def finding(cells: Sequence[CellRow], cases: Sequence[CaseRow], honesty: Sequenc
         f"{sum(c.refused for c in hard)} refused, {sum(c.degraded for c in hard)} off with a warning, "
         f"{sum(c.wrong for c in hard)} wrong, {sum(c.broken for c in hard)} broken:",
         "",
-        "| case | images | right | refused | degraded | wrong | right by Mahalanobis |",
-        "|---|---|---|---|---|---|---|",
+        "| case | images | right | refused | degraded | wrong | broken | right by Mahalanobis |",
+        "|---|---|---|---|---|---|---|---|",
         *(
-            f"| {c.case} | {c.images} | {c.right} | {c.refused} | {c.degraded} | {c.wrong} | {c.right_mahalanobis} |"
+            f"| {c.case} | {c.images} | {c.right} | {c.refused} | {c.degraded} | {c.wrong} | {c.broken} "
+            f"| {c.right_mahalanobis} |"
             for c in cases
         ),
         "",
@@ -160,6 +164,12 @@ def finding(cells: Sequence[CellRow], cases: Sequence[CaseRow], honesty: Sequenc
             for h in honesty
         )
         + f", over {honesty[0].images} images.",
+        "",
+        "**Flags.** Images with something to say about them, or refused:",
+        "",
+        "| what is wrong | images | said | refused | flags and reasons given |",
+        "|---|---|---|---|---|",
+        *(f"| {f.fault} | {f.images} | {f.said} | {f.refused} | {f.raised or '-'} |" for f in flags),
     ]
     return "\n".join(lines)
 
