@@ -8,15 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planeopt.rig import Rig
-from planeopt.spot.ellipses import unlike
 from planeopt.spot.grey import Box, Grey
 from planeopt.spot.hints import BeamHint, box_of_previous, region_box
 from planeopt.spot.lines import Look, look_at
 from planeopt.spot.outline import Outline
 from planeopt.spot.points import Kind, NoSpotReason, Spot, SpotNotFound
-from planeopt.spot.pyramid import Level, centres, pixel_noise, pyramid
-from planeopt.spot.rays import Seeds, all_seeds, ellipses_through, seeds_at
-from planeopt.spot.trace import Traced, polished, together, trace
+from planeopt.spot.pyramid import Level, pixel_noise, pyramid
+from planeopt.spot.search import WHOLE, Judged, search
+from planeopt.spot.trace import polished
 
 __all__ = ["Candidate", "find_candidate", "pixel_noise"]
 
@@ -25,22 +24,10 @@ Array = NDArray[np.floating]
 _log = logging.getLogger(__name__)
 
 _MIN_SIDE = 16  # px
-_MIN_SIZE, _MIN_MINOR = 3.6, 2.4  # px: below, background, edge and plateau cannot be told apart
 _LARGE = 4_000_000  # pixels: in larger images the smallest spots are looked for only if nothing else is there
-_SEEDS = 200  # of a level
-_BATCH = 12  # seeds that are followed up together
-_ROUNDS = 12  # batches at most
-_WORTH = 0.12  # of the best one's strength: a seed that promises less cannot rival it
-_WHOLE = 0.85  # of the boundary
-_VOTED = 150_000  # pixels: on larger levels edges do not vote, which takes long and finds small things
-_AGREE = 0.3  # of the rays
-_ALIKE = 0.1  # of the size: ellipses that differ by less are followed once
 _NOISE_FACTOR = 3.0  # an edge has to be that many standard deviations of a pixel's noise
 _DARK = 0.02  # of full scale
 _MIN_CONTRAST = 0.004  # of full scale: one grey value of 8 bits
-_MIN_SUPPORT = 0.5  # of the boundary
-_MAX_BEYOND = 0.3  # of the boundary: with more light beyond it, it is not a boundary
-_MAX_OUTSIDE = 0.45  # of the boundary
 _OVERLAP = 0.4  # of the size: ellipses whose centres are closer are one thing
 _RIVAL = 0.3  # a second find with that share of the best one's strength makes the choice a guess
 _JUDGED = 12  # the best, whose kind and contrast are measured
@@ -163,7 +150,7 @@ def _search(grey: Grey, box: Box, noise: float, beam: BeamHint) -> tuple[list[Ca
     x0, y0, x1, y1 = _padded(beam.box(box), grey.shape)
     if min(x1 - x0, y1 - y0) < _MIN_SIDE:
         return [], _Rejected()
-    levels = pyramid(grey.search[y0:y1, x0:x1], (x0, y0))
+    levels = pyramid(grey.search[y0:y1, x0:x1], (x0, y0), noise * grey.search_scale)
     first = 1 if (x1 - x0) * (y1 - y0) > _LARGE else 0
     found, rejected = _compete(grey, levels, range(first, len(levels)), box, noise, beam)
     if not found and first > 0:
@@ -180,96 +167,17 @@ def _padded(box: Box, shape: tuple[int, int]) -> Box:
     return max(x0 - dx, 0), max(y0 - dy, 0), min(x1 + dx, shape[1]), min(y1 + dy, shape[0])
 
 
-def _seeds(levels: list[Level], which: range, floor: float, box: Box, beam: BeamHint) -> Seeds:
-    """Return the places at these levels that may be in a spot, the most promising first."""
-    parts = []
-    for index in which:
-        level = levels[index]
-        places, _ = level.peaks(floor, _SEEDS)
-        if level.image.size < _VOTED:
-            places = np.concatenate([places, centres(level, floor, _SEEDS // 4)])
-        places = places[_inside(places, box) & beam.allows(places)]
-        # One level finer: from a part of an ellipse the rest follows only if the edges are in their places.
-        parts.append(seeds_at(levels, max(index - 1, which.start), places))
-    seeds = all_seeds(parts)
-    promise = seeds.promise
-    order = np.argsort(-promise, kind="stable")
-    return seeds[order[promise[order] > 0]]
-
-
-def _inside(places: Array, box: Box) -> NDArray[np.bool_]:
-    x0, y0, x1, y1 = box
-    return np.all((places >= [x0 - 0.5, y0 - 0.5]) & (places <= [x1 - 0.5, y1 - 0.5]), axis=1)
-
-
 def _compete(
     grey: Grey, levels: list[Level], which: range, box: Box, noise: float, beam: BeamHint
 ) -> tuple[list[Candidate], _Rejected]:
-    """Follow up the seeds, the most promising first, until what is left cannot rival what was found."""
     scale = grey.search_scale
-    pending = _seeds(levels, which, max(_MIN_CONTRAST, noise) * scale, box, beam)
-    threshold = max(_NOISE_FACTOR * noise, _MIN_CONTRAST) * scale
-    everything: list[_Judged] = []
-    best = 0.0
-    for _ in range(_ROUNDS):
-        pending = pending[pending.promise > _WORTH * best]
-        if not len(pending):
-            break
-        batch, pending = pending[:_BATCH], pending[_BATCH:]
-        judged = _judge(levels, batch, threshold, beam)
-        everything.append(judged)
-        best = max(best, float(judged.rank.max(initial=0.0)))
-        # A seed within a spot that is seen nearly whole has nothing else to say.
-        for index in np.flatnonzero((judged.rank > 0) & (judged.seen > _WHOLE)):
-            inside = judged.traced.ellipses[np.array([index])].radius_of(pending.place[None])[0] < 1
-            pending = pending[~inside]
-    return _conclude(grey, levels, everything)
-
-
-@dataclass(frozen=True, eq=False)
-class _Judged:
-    """What was followed up, and what is thought of it.
-
-    Parameters
-    ----------
-    traced : Traced
-    verdicts : list
-        Why each is no spot, or None.
-    seen : (K,) array
-        Share of the boundary that is seen, less the share beyond which it is as bright.
-    rank : (K,) array
-        0 for what is no spot.
-    """
-
-    traced: Traced
-    verdicts: list[NoSpotReason | None]
-    seen: Array
-    rank: Array
-
-
-def _judge(levels: list[Level], seeds: Seeds, threshold: float, beam: BeamHint) -> _Judged:
-    ellipses, share, found_at = ellipses_through(seeds)
-    kept = np.flatnonzero(share > _AGREE)
-    kept = kept[unlike(ellipses[kept], share[kept], _ALIKE)]
-    traced = trace(levels, ellipses[kept], found_at[kept])
-    misfit = beam.misfit(traced.ellipses)
-    verdicts = _verdicts(traced, misfit, threshold)
-    seen = np.maximum(traced.support - traced.beyond, 0)
-    rank = traced.ellipses.size * np.sqrt(traced.height) * seen**2 * traced.sharpness / (1 + misfit**2)
-    good = np.array([verdict is None for verdict in verdicts], dtype=bool)
-    return _Judged(traced, verdicts, seen, np.where(good, rank, 0))
-
-
-def _conclude(grey: Grey, levels: list[Level], everything: list[_Judged]) -> tuple[list[Candidate], _Rejected]:
-    traced = together([judged.traced for judged in everything])
-    rank = np.concatenate([np.empty(0), *(judged.rank for judged in everything)])
-    seen = np.concatenate([np.empty(0), *(judged.seen for judged in everything)])
-    verdicts = [verdict for judged in everything for verdict in judged.verdicts]
+    floor, threshold = max(_MIN_CONTRAST, noise) * scale, max(_NOISE_FACTOR * noise, _MIN_CONTRAST) * scale
+    judged = search(levels, which, floor, threshold, box, beam)
+    traced, verdicts = judged.traced, judged.verdicts
     candidates = []
-    for index in _distinct(traced, seen, rank)[:_JUDGED]:
+    for index in _distinct(judged)[:_JUDGED]:
         ellipse = polished(levels, traced.ellipses[np.array([index])], float(traced.sharpness[index]))
-        look = look_at(levels, ellipse)
-        candidates.append(_candidate(look, traced, index, float(rank[index]), grey))
+        candidates.append(_candidate(look_at(levels, ellipse), judged, index, grey))
     _log.debug(
         "%d ellipses followed, %d of them no spots (%d off the beam), %d distinct",
         len(traced),
@@ -285,42 +193,27 @@ def _conclude(grey: Grey, levels: list[Level], everything: list[_Judged]) -> tup
     return candidates, _Rejected(verdicts[worst], (x, y))
 
 
-def _verdicts(traced: Traced, misfit: Array, threshold: float) -> list[NoSpotReason | None]:
-    """Return for each ellipse why it is no spot, or None."""
-    small = (traced.ellipses.size < _MIN_SIZE) | (traced.ellipses.semi_axes[:, 1] < _MIN_MINOR)
-    cut = (traced.outside > _MAX_OUTSIDE) | ((traced.outside > 0.1) & (traced.support < _MIN_SUPPORT))
-    shapeless = (traced.support < _MIN_SUPPORT) | (traced.beyond > _MAX_BEYOND)
-    faint = traced.height < threshold * 0.5
-    rules = (
-        (faint, NoSpotReason.NO_CONTRAST),
-        (small, NoSpotReason.TOO_SMALL),
-        (cut, NoSpotReason.TOUCHES_BORDER),
-        (shapeless, NoSpotReason.NOT_AN_ELLIPSE),
-        (np.isinf(misfit), NoSpotReason.OFF_BEAM),
-    )
-    return [next((reason for rule, reason in rules if rule[index]), None) for index in range(len(traced))]
-
-
-def _distinct(traced: Traced, seen: Array, rank: Array) -> list[int]:
+def _distinct(judged: Judged) -> list[int]:
     """Return the best of each heap of ellipses that lie within one another, best first.
 
     Two that overlap are two things only if both are seen nearly whole: through what is left of one spot many ellipses
     can be drawn.
     """
     kept: list[int] = []
-    major, size, centre = traced.ellipses.semi_axes[:, 0], traced.ellipses.size, traced.ellipses.centre
+    ellipses, rank = judged.traced.ellipses, judged.rank
+    major, size, centre = ellipses.semi_axes[:, 0], ellipses.size, ellipses.centre
     for index in np.argsort(-rank, kind="stable").tolist():
         if rank[index] <= 0:
             break
         apart = np.linalg.norm(centre[kept] - centre[index], axis=1)
         within = apart < np.maximum(major[kept], major[index])
-        overlapping = (apart > _OVERLAP * np.maximum(size[kept], size[index])) & (seen[index] > _WHOLE)
+        overlapping = (apart > _OVERLAP * np.maximum(size[kept], size[index])) & (judged.seen[index] > WHOLE)
         if not np.any(within & ~overlapping):
             kept.append(index)
     return kept
 
 
-def _candidate(look: Look, traced: Traced, index: int, strength: float, grey: Grey) -> Candidate:
+def _candidate(look: Look, judged: Judged, index: int, grey: Grey) -> Candidate:
     light = np.maximum(np.array([look.high, look.low]) / grey.search_scale, 0)
     if grey.image.dtype.kind == "u" and grey.dark is None:
         light = light**grey.gamma
@@ -329,7 +222,7 @@ def _candidate(look: Look, traced: Traced, index: int, strength: float, grey: Gr
         kind=look.kind,
         contrast=float(light[0] - light[1]),
         line_width=look.line_width,
-        touches_border=bool(traced.outside[index] > 0),
-        support=float(traced.support[index]),
-        strength=strength,
+        touches_border=bool(judged.traced.outside[index] > 0),
+        support=float(judged.traced.support[index]),
+        strength=float(judged.rank[index]),
     )

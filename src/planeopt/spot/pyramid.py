@@ -13,8 +13,9 @@ Array = NDArray[np.floating]
 _INNER, _OUTER = 5, 17  # px of a level: the boxes whose means are compared, for spots of 3 to 8 px
 _APART = 5  # px of a level: peaks closer than half of that are one
 _VOTES = 3, 15  # px of a level: how far off the middle of a spot may be
+_FEW = 0.15  # of the most votes that any place gets
 _SIGNIFICANT = 5.0  # standard deviations of white noise
-_NOISE_SAMPLE = 200_000  # pixels that say enough about noise
+_NOISE_SAMPLE = 30_000  # pixels that say enough about noise
 _MIN_LEVEL = 20  # px: the shortest side of a level
 
 
@@ -30,16 +31,14 @@ class Level:
         How many pixels of the whole image make one of this, along a side.
     origin : (2,) array
         Where its first pixel's corner lies in the whole image, px; corners are at half integers.
+    noise : float
+        Standard deviation of a pixel, in units of the image, if it is white at the finest level.
     """
 
     image: NDArray[Any]
     factor: int
     origin: Array
-
-    @cached_property
-    def noise(self) -> float:
-        """Standard deviation of a pixel, in units of the image."""
-        return pixel_noise(self.image, 1.0 if self.image.dtype.kind == "u" else 0.0)
+    noise: float
 
     @cached_property
     def smooth(self) -> NDArray[Any]:
@@ -52,7 +51,7 @@ class Level:
 
     def sample(self, points: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Return the grey values (..., ) at points (..., 2) of the whole image, and which of them are on this one."""
-        maps = self.local(points).astype(np.float32)
+        maps = self.local(points).astype(np.float32, copy=False)
         height, width = self.image.shape
         x, y = maps[..., 0], maps[..., 1]
         there = (x >= -0.5) & (x <= width - 0.5) & (y >= -0.5) & (y <= height - 0.5)
@@ -61,7 +60,7 @@ class Level:
         return np.reshape(np.asarray(found, dtype=np.float32).ravel()[: there.size], there.shape), there
 
     def peaks(self, floor: float, most: int) -> tuple[Array, Array]:
-        """Return the places (N, 2), px of the whole image, that are bright against their surroundings, and by how much.
+        """Return the places (N, 2), px of the whole image, that are bright against their surroundings, and how bright.
 
         Parameters
         ----------
@@ -109,7 +108,8 @@ def centres(level: Level, floor: float, most: int) -> Array:
     weight = np.sqrt(strength)[:, None] / reach
     votes = np.bincount((y * width + x)[there], weight[there], height * width).reshape(height, width)
     smooth = np.asarray(cv2.GaussianBlur(votes.astype(np.float32), (5, 5), 0))
-    top = (smooth >= np.asarray(cv2.dilate(smooth, np.ones((_APART, _APART), np.uint8)))) & (smooth > 0)
+    floor_of_votes = _FEW * float(smooth.max())
+    top = (smooth >= np.asarray(cv2.dilate(smooth, np.ones((_APART, _APART), np.uint8)))) & (smooth > floor_of_votes)
     rows, columns = np.nonzero(top)
     chosen = np.argsort(-smooth[rows, columns], kind="stable")[:most]
     return (np.stack([columns, rows], axis=1)[chosen] + 0.5) * level.factor + level.origin
@@ -141,7 +141,7 @@ def _median(values: NDArray[np.float32], quantum: float) -> float:
     return median + quantum * ((0.5 - below) / (above - below) - 0.5) if above > below else median
 
 
-def pyramid(image: NDArray[Any], origin: tuple[int, int]) -> list[Level]:
+def pyramid(image: NDArray[Any], origin: tuple[int, int], noise: float) -> list[Level]:
     """Return an image and its halvings, down to the smallest that can hold a spot.
 
     Parameters
@@ -149,9 +149,11 @@ def pyramid(image: NDArray[Any], origin: tuple[int, int]) -> list[Level]:
     image : (H, W) array
     origin : tuple of int
         The whole image's pixel ``(x, y)`` that is the first of this.
+    noise : float
+        Standard deviation of a pixel, in units of the image.
     """
-    corner = np.array(origin) - 0.5
-    levels = [Level(image, 1, corner)]
+    corner = np.array(origin, dtype=np.float32) - np.float32(0.5)
+    levels = [Level(image, 1, corner, noise)]
     while min(image.shape) >= 2 * _MIN_LEVEL:
         height, width = image.shape[0] // 2, image.shape[1] // 2
         # An odd last row or column is left out: what remains is halved exactly.
@@ -159,5 +161,6 @@ def pyramid(image: NDArray[Any], origin: tuple[int, int]) -> list[Level]:
         if len(levels) == 1 and image.dtype.kind == "u":
             # A quarter of the pixels: means need not be rounded any more.
             image = image.astype(np.float32)
-        levels.append(Level(image, 2 ** len(levels), corner))
+        factor = 2 ** len(levels)
+        levels.append(Level(image, factor, corner, noise / factor))
     return levels

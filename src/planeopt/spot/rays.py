@@ -60,9 +60,9 @@ def edges_on_rays(level: Level, seeds: Array) -> tuple[Array, Array]:
     height : (K, R, 2) array
         By how much the grey value falls across three pixels, 0 where there is none.
     """
-    t = np.arange(_REACH, dtype=np.float64)
-    directions = np.stack([_COS, _SIN], axis=1)
-    places = seeds[:, None, None, :] + level.factor * t[:, None] * directions[:, None, :]
+    # Single precision: a ten thousandth of a pixel, and half the time.
+    offsets = level.factor * np.arange(_REACH)[:, None] * np.stack([_COS, _SIN], axis=1)[:, None, :]
+    places = seeds.astype(np.float32)[:, None, None, :] + offsets.astype(np.float32)
     grey, there = level.sample(places)
     # Means of two samples, three apart: the fall half way between samples k + 1 and k + 2.
     fall = (grey[..., :-3] + grey[..., 1:-2] - grey[..., 2:-1] - grey[..., 3:]) / 2

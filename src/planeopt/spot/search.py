@@ -1,0 +1,169 @@
+"""Follow up the bright places of an image, the most promising first, and judge what comes of them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planeopt.spot.ellipses import Ellipses, joined, unlike
+from planeopt.spot.grey import Box
+from planeopt.spot.hints import BeamHint
+from planeopt.spot.points import NoSpotReason
+from planeopt.spot.pyramid import Level, centres
+from planeopt.spot.rays import Seeds, all_seeds, ellipses_through, seeds_at
+from planeopt.spot.trace import Traced, together, trace
+
+Array = NDArray[np.floating]
+
+_MIN_SIZE, _MIN_MINOR = 3.6, 2.4  # px: below, background, edge and plateau cannot be told apart
+_SEEDS, _CENTRES = 120, 16  # of a level
+_COARSE = 2  # levels: half and quarter size come after those
+_LEAST_SHARE, _LARGEST = 0.3, 9.0  # of a spot's height in the response of a level; px of the level
+_BATCH = 12  # seeds that are followed up together
+_ROUNDS = 12  # batches at most
+_WORTH = 0.12  # of the best one's strength: a seed that promises less cannot rival it
+WHOLE = 0.85  # of the boundary
+_VOTED = 150_000  # pixels: on larger levels edges do not vote, which takes long and finds small things
+_AGREE = 0.3  # of the rays
+_ALIKE = 0.1  # of the size: ellipses that differ by less are followed once
+_MIN_SUPPORT = 0.5  # of the boundary
+_MAX_BEYOND = 0.3  # of the boundary: with more light beyond it, it is not a boundary
+_MAX_OUTSIDE = 0.45  # of the boundary
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """K ellipses that were followed up, and what is thought of them.
+
+    Parameters
+    ----------
+    traced : Traced
+    verdicts : list
+        Why each is no spot, or None.
+    seen : (K,) array
+        Share of the boundary that is seen, less the share beyond which it is as bright.
+    rank : (K,) array
+        Size times the root of the height of the edge, less for what speaks against it; 0 for what is no spot.
+    """
+
+    traced: Traced
+    verdicts: list[NoSpotReason | None]
+    seen: Array
+    rank: Array
+
+
+def search(levels: list[Level], which: range, floor: float, threshold: float, box: Box, beam: BeamHint) -> Judged:
+    """Follow up the bright places of an image until what is left cannot rival what was found.
+
+    Parameters
+    ----------
+    levels : list of Level
+        From fine to coarse.
+    which : range
+        Those that are looked at.
+    floor, threshold : float
+        By how much a place and an edge have to stand out, in units of the image.
+    box : tuple of int
+        Where a place has to lie.
+    beam : BeamHint
+    """
+    found = _Search(levels, threshold, beam)
+    # The coarse levels cost next to nothing, and what they show need not be looked into on the finer ones.
+    coarse = [index for index in which if index >= _COARSE]
+    for group in (coarse, *([index] for index in reversed(which) if index < _COARSE)):
+        if group:
+            found.follow_up(all_seeds([_seeds(index, which.start, floor, box, found) for index in group]))
+    everything = found.everything
+    return Judged(
+        together([judged.traced for judged in everything]),
+        [verdict for judged in everything for verdict in judged.verdicts],
+        np.concatenate([np.empty(0), *(judged.seen for judged in everything)]),
+        np.concatenate([np.empty(0), *(judged.rank for judged in everything)]),
+    )
+
+
+class _Search:
+    """What was followed up so far.
+
+    Parameters
+    ----------
+    levels : list of Level
+    threshold : float
+        The least height of an edge, in units of the image.
+    beam : BeamHint
+    """
+
+    def __init__(self, levels: list[Level], threshold: float, beam: BeamHint) -> None:
+        self.levels, self.threshold, self.beam = levels, threshold, beam
+        self.everything: list[Judged] = []
+        self.best = 0.0
+        self._whole = Ellipses(np.empty((0, 2)), np.empty((0, 2, 2)))
+
+    def explained(self, places: Array) -> NDArray[np.bool_]:
+        """Return which places lie in a spot that is seen nearly whole: they have nothing else to say."""
+        if not len(self._whole) or not len(places):
+            return np.zeros(len(places), dtype=bool)
+        radius = self._whole.radius_of(np.broadcast_to(places, (len(self._whole), *places.shape)))
+        return np.any(radius < 1, axis=0)
+
+    def follow_up(self, pending: Seeds) -> None:
+        """Follow up seeds, the most promising first."""
+        promise = pending.promise
+        pending = pending[np.argsort(-promise, kind="stable")]
+        for _ in range(_ROUNDS):
+            pending = pending[pending.promise > max(_WORTH * self.best, 1e-12)]
+            if not len(pending):
+                break
+            batch, pending = pending[:_BATCH], pending[_BATCH:]
+            judged = _judge(self.levels, batch, self.threshold, self.beam)
+            self.everything.append(judged)
+            self.best = max(self.best, float(judged.rank.max(initial=0.0)))
+            whole = judged.traced.ellipses[(judged.rank > 0) & (judged.seen > WHOLE)]
+            self._whole = joined([self._whole, whole[unlike(whole, whole.size, _ALIKE)]])
+            pending = pending[~self.explained(pending.place)]
+
+
+def _seeds(index: int, finest: int, floor: float, box: Box, found: _Search) -> Seeds:
+    """Return the places that show at a level and may be in a spot that rivals what was found already."""
+    level = found.levels[index]
+    places, heights = level.peaks(floor, _SEEDS)
+    places = places[np.sqrt(heights / _LEAST_SHARE) * _LARGEST * level.factor > _WORTH * found.best]
+    if level.image.size < _VOTED:
+        places = np.concatenate([places, centres(level, floor, _CENTRES)])
+    places = places[_inside(places, box) & found.beam.allows(places) & ~found.explained(places)]
+    # One level finer: from a part of an ellipse the rest follows only if the edges are in their places.
+    return seeds_at(found.levels, max(index - 1, finest), places)
+
+
+def _inside(places: Array, box: Box) -> NDArray[np.bool_]:
+    x0, y0, x1, y1 = box
+    return np.all((places >= [x0 - 0.5, y0 - 0.5]) & (places <= [x1 - 0.5, y1 - 0.5]), axis=1)
+
+
+def _judge(levels: list[Level], seeds: Seeds, threshold: float, beam: BeamHint) -> Judged:
+    ellipses, share, found_at = ellipses_through(seeds)
+    kept = np.flatnonzero(share > _AGREE)
+    kept = kept[unlike(ellipses[kept], share[kept], _ALIKE)]
+    traced = trace(levels, ellipses[kept], found_at[kept])
+    misfit = beam.misfit(traced.ellipses)
+    verdicts = _verdicts(traced, misfit, threshold)
+    seen = np.maximum(traced.support - traced.beyond, 0)
+    rank = traced.ellipses.size * np.sqrt(traced.height) * seen**2 * traced.sharpness / (1 + misfit**2)
+    good = np.array([verdict is None for verdict in verdicts], dtype=bool)
+    return Judged(traced, verdicts, seen, np.where(good, rank, 0))
+
+
+def _verdicts(traced: Traced, misfit: Array, threshold: float) -> list[NoSpotReason | None]:
+    """Return for each ellipse why it is no spot, or None."""
+    small = (traced.ellipses.size < _MIN_SIZE) | (traced.ellipses.semi_axes[:, 1] < _MIN_MINOR)
+    cut = (traced.outside > _MAX_OUTSIDE) | ((traced.outside > 0.1) & (traced.support < _MIN_SUPPORT))
+    shapeless = (traced.support < _MIN_SUPPORT) | (traced.beyond > _MAX_BEYOND)
+    faint = traced.height < threshold * 0.5
+    rules = (
+        (faint, NoSpotReason.NO_CONTRAST),
+        (small, NoSpotReason.TOO_SMALL),
+        (cut, NoSpotReason.TOUCHES_BORDER),
+        (shapeless, NoSpotReason.NOT_AN_ELLIPSE),
+        (np.isinf(misfit), NoSpotReason.OFF_BEAM),
+    )
+    return [next((reason for rule, reason in rules if rule[index]), None) for index in range(len(traced))]
