@@ -16,7 +16,7 @@ from scipy.special import ndtr, ndtri
 
 from planeopt.errors import InputError
 from planeopt.simulation.geometry import FAR, View
-from planeopt.simulation.profiles import irradiance, is_even, plateau, reach, unevenness
+from planeopt.simulation.profiles import irradiance, is_even, plateau, reach, softness, unevenness
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -134,29 +134,39 @@ def spot_patch(view: View, rng: np.random.Generator) -> Patch:
 
 
 def _sampling(view: View) -> _Sampling:
-    """Choose how finely to sample a scene."""
+    """Choose how finely to sample a scene.
+
+    Raises
+    ------
+    InputError
+        If a ring's line is too thin to be sampled.
+    """
     scene = view.scene
     beam, blur = scene.beam, scene.optics.blur_px
     theta = np.linspace(0, math.tau, 360, endpoint=False)
     outline = view.outline(theta)
+    width = _narrowest(view, outline, softness(beam, scene.rig.require_beam().radius))
+    for factor in (1, 2, _COARSE, _FINE):
+        if width * factor >= 2 * _ENOUGH and blur * factor >= _ENOUGH:
+            return _Sampling(factor, 0.0, blur)
+    for factor in (_COARSE, _FINE):
+        if width * factor >= _ENOUGH:
+            return _Sampling(factor, 0.0, blur)
+    if beam.kind == "ring":
+        raise InputError(
+            f"beam.line_mm: the ring's line is {width:.2g} px wide in the image where it is narrowest (standard "
+            f"deviation); at least {_ENOUGH / _FINE:.2g} px can be rendered"
+        )
     size = float(np.min(np.linalg.norm(outline - outline.mean(axis=0), axis=1)))
     factor = _FINE if size < _SMALL_PX or blur < 0.4 else _COARSE
-    width = _narrowest(view, outline, {"ring": beam.line_mm, "disc": beam.edge_mm}.get(beam.kind, math.inf))
-    if beam.kind == "ring" and width * factor < _ENOUGH:
-        factor = _FINE
-        if width * factor < _ENOUGH:
-            raise InputError(
-                f"beam.line_mm: the ring's line is {width:.2g} px wide in the image where it is narrowest (standard "
-                f"deviation); at least {_ENOUGH / factor:.2g} px can be rendered"
-            )
-    closed = _ENOUGH / factor if width * factor < _ENOUGH else 0.0
+    closed = _ENOUGH / factor
     return _Sampling(factor, closed, math.sqrt(blur**2 - closed**2))
 
 
 def _narrowest(view: View, outline: Array, width_mm: float) -> float:
     """Return the least width on the image, px, of something of this width across the beam's circle, mm."""
-    if not 0 < width_mm < math.inf:
-        return width_mm
+    if width_mm == 0:
+        return 0.0
     normalised, jacobian = view.scene.rig.camera.normalise(outline)
     _, dx, dy = _slope(view, normalised.T, np.moveaxis(jacobian, 0, -1))
     return float(width_mm / view.scene.rig.require_beam().radius / np.hypot(dx, dy).max())

@@ -37,6 +37,21 @@ def reach(beam: BeamProfile, radius: float) -> tuple[float, float]:
     return max(0.0, inner * (1 - beam.astigmatism)), outer / (1 - beam.astigmatism)
 
 
+def softness(beam: BeamProfile, radius: float) -> float:
+    """Return the scale over which the irradiance changes where it does so fastest, mm; 0 for a sharp disc.
+
+    A ring's or a soft edge's standard deviation; of a Gaussian beam that of an edge as steep as it is at its radius, or
+    of its core if that is less.
+    """
+    if beam.kind == "ring":
+        return beam.line_mm
+    if beam.kind == "disc":
+        return beam.edge_mm
+    depth = -math.log(beam.level)
+    edge = 1 / (math.sqrt(math.tau) * beam.level * depth * beam.order)
+    return 0.5 * radius * min(edge, 1 / math.sqrt(2 * depth))
+
+
 def irradiance(beam: BeamProfile, radius: float, x: Array, y: Array) -> Array:
     """Return the irradiance (...) at places of the cross-section, share of the plateau; smooth profiles only.
 

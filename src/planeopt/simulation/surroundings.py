@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 _PATTERNS = 16
 _PIXEL_VARIANCE = 1 / 12
 _TRIES = 2000
+# Standard deviations from an edge at which its light is flat to 1e-15.
+_TAIL = 8.0
 
 
 def background(view: View) -> Array:
@@ -111,7 +113,11 @@ def occlusion(view: View, obstacle: Occlusion, rng: np.random.Generator) -> Arra
     width, height = view.scene.rig.camera.image_size
     x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
     blur = view.scene.optics.blur_px if obstacle.blur_px is None else obstacle.blur_px
-    return ndtr(-_depth(view, obstacle, np.stack([x, y], axis=-1), rng) / math.hypot(blur, math.sqrt(_PIXEL_VARIANCE)))
+    depth = _depth(view, obstacle, np.stack([x, y], axis=-1), rng) / math.hypot(blur, math.sqrt(_PIXEL_VARIANCE))
+    cover = (depth < 0).astype(np.float64)
+    edge = np.abs(depth) < _TAIL
+    cover[edge] = ndtr(-depth[edge])
+    return cover
 
 
 def hidden(view: View, obstacle: Occlusion, points: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
