@@ -100,6 +100,8 @@ class Deviation:
     ----------
     bias : float
         Mean signed distance of the points from the true boundary, px, positive outwards.
+    least_variance : float
+        That `bias` could have, px^2.
     points : float
         Mean squared distance about that mean, over the least variance of points as far from each other.
     size : float
@@ -112,6 +114,7 @@ class Deviation:
     """
 
     bias: float
+    least_variance: float
     points: float
     size: float
     shape: float
@@ -137,10 +140,12 @@ def deviation(spot: Spot, offsets: Array, truth: TrueBoundary, per_pixel: float,
     bias = float(np.average(offsets, weights=stands))
     waves = np.stack([np.cos(angle), np.sin(angle), np.cos(2 * angle), np.sin(2 * angle)], axis=1)
     design = np.concatenate([np.ones((len(angle), 1)), waves], axis=1)
+    least_variance = (per_pixel * size_cost) ** 2 / float(stands.sum())
     return Deviation(
         bias=bias,
+        least_variance=least_variance,
         points=float(np.mean(((offsets - bias) / least) ** 2)),
-        size=bias**2 * stands.sum() / (per_pixel * size_cost) ** 2,
+        size=bias**2 / least_variance,
         shape=_squared(waves, offsets - bias, least),
         own=_squared(design, offsets, spot.sigma),
     )

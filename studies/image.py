@@ -16,7 +16,7 @@ from studies.image_cells import cells_of, run_cells
 from studies.image_figures import boundary_figure, pose_figure
 from studies.image_flags import run_flags
 from studies.image_poses import HARD, Job, run_poses
-from studies.image_summary import cases_of, finding, honesty_of
+from studies.image_summary import cases_of, finding, headline, honesty_of
 from studies.study import Mode, Result
 
 _IMAGES = {"full": (400, 200, 100), "quick": (60, 10, 4)}
@@ -33,6 +33,7 @@ def run(mode: Mode, executor: Executor | None = None) -> Result:
     cases, honesty, flags = cases_of(poses), honesty_of(poses), run_flags(faulty, executor)
     return Result(
         tables={"cells": cells, "poses": poses, "cases": cases, "honesty": honesty, "flags": flags},
+        headline=headline(cells, cases, honesty),
         finding=finding(cells, cases, honesty, flags),
         figures={"boundary": boundary_figure(cells), "poses": pose_figure(poses)},
     )

@@ -1,5 +1,6 @@
 """The boundary over a grid of sizes, blurs, contrasts and noises: bias, noise over the bound, honesty of sigma."""
 
+import dataclasses
 import zlib
 from collections.abc import Sequence
 from concurrent.futures import Executor
@@ -48,6 +49,8 @@ class CellRow:
     images, refused : int
     bias_px, bias_error_px : float
         Mean signed distance of the points from the true boundary, and its standard error from the images' scatter.
+    least_error_px : float
+        The least that this error could be.
     points_over_bound : float
         RMS distance of the points from their mean over its least.
     size_over_bound, shape_over_bound : float
@@ -70,6 +73,7 @@ class CellRow:
     refused: int
     bias_px: float
     bias_error_px: float
+    least_error_px: float
     points_over_bound: float
     size_over_bound: float
     shape_over_bound: float
@@ -148,20 +152,22 @@ def summary(cell: Cell, outcomes: Sequence[Deviation | str]) -> CellRow:
     """Return the row of a cell; its numbers are NaN where all images were refused."""
     found = [outcome for outcome in outcomes if isinstance(outcome, Deviation)]
     reasons = sorted({outcome for outcome in outcomes if isinstance(outcome, str)})
-    columns = np.array([[d.bias, d.points, d.size, d.shape, d.own] for d in found]).reshape(-1, 5)
-    mean = columns.mean(axis=0) if found else np.full(5, np.nan)
-    error = columns.std(axis=0, ddof=1) / np.sqrt(len(found)) if len(found) > 1 else np.full(5, np.nan)
+    columns = np.array([dataclasses.astuple(d) for d in found]).reshape(-1, 6)
+    mean = columns.mean(axis=0) if found else np.full(6, np.nan)
+    error = columns.std(axis=0, ddof=1) / np.sqrt(len(found)) if len(found) > 1 else np.full(6, np.nan)
+    bias, least, points, size, shape, own = mean.tolist()
     return CellRow(
         **{name: getattr(cell, name) for name in Cell.__dataclass_fields__},
         images=len(outcomes),
         refused=len(outcomes) - len(found),
-        bias_px=float(mean[0]),
+        bias_px=bias,
         bias_error_px=float(error[0]),
-        points_over_bound=float(np.sqrt(mean[1])),
-        size_over_bound=float(np.sqrt(mean[2])),
-        shape_over_bound=float(np.sqrt(mean[3])),
-        own=float(mean[4]),
-        own_error=float(error[4]),
+        least_error_px=float(np.sqrt(least / len(found))) if found else np.nan,
+        points_over_bound=float(np.sqrt(points)),
+        size_over_bound=float(np.sqrt(size)),
+        shape_over_bound=float(np.sqrt(shape)),
+        own=own,
+        own_error=float(error[5]),
         reasons=" ".join(reasons),
     )
 

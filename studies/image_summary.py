@@ -121,6 +121,20 @@ def honesty_of(poses: Sequence[PoseRow]) -> list[HonestyRow]:
     return rows
 
 
+def headline(cells: Sequence[CellRow], cases: Sequence[CaseRow], honesty: Sequence[HonestyRow]) -> str:
+    """Say it in a sentence."""
+    plain = [c for c in cells if c.over == 1]
+    hard = [case for case in cases if case.case != "plain"]
+    variances = [h.variance for h in honesty]
+    return (
+        f"The boundary's mean bias is at most {max(abs(c.bias_px) for c in plain):.3f} px over sizes, blurs, contrasts "
+        f"and noises, its points' noise at most {max(c.points_over_bound for c in plain):.2f} times the Cramér-Rao "
+        f"bound; of {sum(c.images for c in hard)} hard images {sum(c.right for c in hard)} give the right plane and "
+        f"{sum(c.images - c.right - c.refused for c in hard)} a wrong one; the errors' variance over their own is "
+        f"{min(variances):.2f} to {max(variances):.2f}."
+    )
+
+
 def finding(
     cells: Sequence[CellRow], cases: Sequence[CaseRow], honesty: Sequence[HonestyRow], flags: Sequence[FlagRow]
 ) -> str:

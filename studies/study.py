@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar, get_type_hints
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Mode = Literal["quick", "full"]
 """Quick: what the tests run, seconds. Full: what is committed, minutes."""
 
-Row = Mapping[str, object]
+Row = TypeVar("Row")
 
 _SAVED: dict[Any, Any] = {"svg.hashsalt": "planeopt", "svg.fonttype": "path"}
 
@@ -31,13 +31,16 @@ class Result:
     ----------
     tables : mapping of str to sequence of dataclass instances
         A CSV file each, a row an instance, a column a field.
+    headline : str
+        The answer in a sentence, for the index of the studies.
     finding : str
-        The answer in words, in Markdown; every number in it is made from the tables.
+        The answer in words, in Markdown; every number in both is made from the tables.
     figures : mapping of str to Figure
         A PNG each.
     """
 
     tables: Mapping[str, Sequence["DataclassInstance"]]
+    headline: str
     finding: str
     figures: Mapping[str, Figure] = field(default_factory=dict)
 
@@ -74,10 +77,19 @@ def write(result: Result, folder: Path) -> None:
     (folder / "finding.md").write_text(result.finding.rstrip() + "\n", encoding="utf-8")
 
 
-def read_table(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a table that was written."""
+def read_rows(path: Path, kind: type[Row]) -> list[Row]:
+    """Return the rows of a table that was written, with the digits that it holds."""
+    hints = get_type_hints(kind)
     with path.open(encoding="utf-8", newline="") as stream:
-        return list(csv.DictReader(stream))
+        return [
+            kind(**{name: _read(text, hints[name]) for name, text in row.items()}) for row in csv.DictReader(stream)
+        ]
+
+
+def _read(text: str, hint: object) -> object:
+    if hint is float:
+        return float(text) if text else math.nan
+    return int(text) if hint is int else text
 
 
 def cell(value: object) -> str:
