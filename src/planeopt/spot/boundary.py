@@ -49,7 +49,7 @@ _SIGMA_FLOOR = 1e-3  # px: what is left of the model's own error
 _CLIP = 3.0  # standard deviations below full scale: from there on clipping bends the noise
 _MARGIN, _MARGIN_PX = 0.25, 64  # of the spot's size, and px, that are looked at round it
 _WAVE = 30.0  # px of the boundary a wave of offset, plateau or background
-_MOST_WAVES = 6
+_LEAST_WAVES, _MOST_WAVES = 2, 6  # of the boundary: what an ellipse can do, at least
 _NARROW = 6.0  # widths in half the spot: below, a plateau has hardly a shape
 _MIN_INFORMATION = 10.0  # times the usual variance: beyond, a segment shows no edge
 _SEEN_PLATEAU = 0.5  # of its pixels unclipped: else its shape is not known
@@ -82,7 +82,7 @@ class Boundary:
     excess : float
         Scatter about the ellipse over what the pixels' noise explains.
     inflation : float
-        By which `sigma` exceeds the scatter because of correlation.
+        By which `sigma` exceeds what the pixels' noise explains, because of scatter and correlation.
     shared : float
         By which it exceeds that because of what all points share: blur, plateau, background.
     curvature : float
@@ -258,9 +258,10 @@ def _fit(view: _View, state: _State, *, last: bool) -> _Fit:
 def _freedom(state: _State, band: Band, good: Mask) -> Freedom:
     """Return what can be told from so much of a spot of that size."""
     was, wide = state.model.freedom, band.outline.b / state.model.widths.mean
-    waves_seen = int(np.clip(band.outline.perimeter * good.mean() / _WAVE, 2, _MOST_WAVES))
+    waves_seen = int(np.clip(band.outline.perimeter * good.mean() / _WAVE, _LEAST_WAVES, _MOST_WAVES))
     degree, slopes = (1, False) if wide < _NARROW else (2, True)
-    plateau, plateau_waves, plateau_slopes = degree, waves_seen, slopes
+    surface_waves = max(degree, waves_seen if slopes else 0)
+    plateau, plateau_waves, plateau_slopes = degree, surface_waves, slopes
     if state.model.kind == "ring":
         # A slope of its brightness cannot be told from another place of the ridge.
         plateau, plateau_slopes = 0, False
@@ -272,7 +273,7 @@ def _freedom(state: _State, band: Band, good: Mask) -> Freedom:
         plateau_waves=plateau_waves,
         plateau_slopes=plateau_slopes,
         background=degree,
-        background_waves=waves_seen,
+        background_waves=surface_waves,
         background_slopes=slopes,
         blur=was.blur,
         line=was.line,
@@ -347,7 +348,7 @@ def _result(view: _View, fit: _Fit, level: float, camera_blur: float | None, str
         raise SpotNotFound(NoSpotReason.NOT_AN_ELLIPSE)
     if raw.outline.b < _MIN_WIDTHS * width:
         raise SpotNotFound(NoSpotReason.TOO_SMALL, f"It is {2 * raw.outline.b:.1f} px across.")
-    inflation = inflation_of(straight.residuals, keep)
+    inflation = inflation_of(straight)
     shared = fit.fitted.shared_inflation
     if kind == "ring" or camera_blur is not None:
         ambiguity = float(curvature[keep].max()) * fit.fitted.blur_sigma / 2
@@ -355,11 +356,11 @@ def _result(view: _View, fit: _Fit, level: float, camera_blur: float | None, str
         ambiguity = float(curvature[keep].max()) * width**2 / 2
     return Boundary(
         points=points[keep],
-        sigma=expected[keep] * max(straight.factor, 1.0) * inflation * shared,
+        sigma=expected[keep] * inflation * shared,
         rejected=points[fit.there & ~keep],
         width=width,
         height=model.plateau_height,
-        background=float(model.surface[model.freedom.places[0]]),
+        background=float(model.surface[0]),
         noise=float(np.sqrt(model.noise[0])),
         outline=raw.outline,
         share=float(keep.mean()),

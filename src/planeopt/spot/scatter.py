@@ -28,7 +28,7 @@ class Scatter:
     residuals : (N,) array
         Signed distances from it, in units of the expected sigma.
     factor : float
-        Standard deviation of the kept residuals, the larger of the plain and the robust (median) estimate.
+        Standard deviation of the kept residuals, the ellipse's five parameters allowed for.
     """
 
     outline: Outline
@@ -62,37 +62,39 @@ def scatter_about_ellipse(points: Array, sigma: Array, use: Mask) -> Scatter | N
         residuals = outline.distances(points) / sigma
         robust = float(np.median(np.abs(residuals[keep]))) / 0.6745
         if last:
-            return Scatter(outline, keep, residuals, max(robust, float(np.sqrt(np.mean(residuals[keep] ** 2)))))
+            spread = float((residuals[keep] ** 2).sum()) / max(int(keep.sum()) - _PARAMETERS, 1)
+            return Scatter(outline, keep, residuals, float(np.sqrt(spread)))
         keep = use & (np.abs(residuals) <= np.maximum(_OUTLIER * robust, _NO_OUTLIER / sigma))
     return None
 
 
-def inflation_of(residuals: Array, present: Mask) -> float:
-    """Return by how much the sigma of correlated residuals has to grow for them to count as independent.
+def inflation_of(scatter: Scatter) -> float:
+    """Return by how much the expected sigma has to grow for the points to count as independent ones of that scatter.
 
-    The square root of the integrated autocorrelation ``1 + 2 sum rho_k`` round the closed boundary, summed over Geyer's
-    initial positive sequence of pairs (Statistical Science 7, 1992, section 3.3), never below 1; times what the ellipse
-    took away: five of the points that are left when correlated ones are counted as one.
-
-    Parameters
-    ----------
-    residuals : (N,) array
-        In order along the boundary, in units of their sigma; ignored where not `present`.
-    present : (N,) bool array
+    The square root of the scatter's variance over the expected one, times the integrated autocorrelation
+    ``1 + 2 sum rho_k`` round the closed boundary, summed over Geyer's initial positive sequence of pairs (Statistical
+    Science 7, 1992, section 3.3). Of each only counts what is beyond the standard deviation that it has by chance:
+    noise that is as expected and independent is not made larger by looking at it.
     """
-    squared = max(_integrated_autocorrelation(residuals, present), 1.0)
-    independent = present.sum() / squared
-    return float(np.sqrt(squared * independent / max(independent - _PARAMETERS, 1.0)))
+    independent, taken = _integrated_autocorrelation(scatter.residuals, scatter.keep)
+    count = max(int(scatter.keep.sum()) - _PARAMETERS, 1)
+    correlated = 1 + max(independent - 1 - np.sqrt(2 * (2 * taken + 1) / count), 0.0)
+    excess = 1 + max(scatter.factor**2 - 1 - np.sqrt(2 * correlated / count), 0.0)
+    # Correlated residuals: the ellipse takes away five of the independent ones.
+    free = count + _PARAMETERS
+    lost = (free - _PARAMETERS) / max(free - _PARAMETERS * correlated, 1.0)
+    return float(np.sqrt(excess * correlated * lost))
 
 
-def _integrated_autocorrelation(residuals: Array, present: Mask) -> float:
+def _integrated_autocorrelation(residuals: Array, present: Mask) -> tuple[float, int]:
+    """Return the sum, and the number of lags in it."""
     count = len(residuals)
     products = np.fft.irfft(np.abs(np.fft.rfft(np.where(present, residuals, 0.0))) ** 2, count)
     pairs_seen = np.fft.irfft(np.abs(np.fft.rfft(present.astype(np.float64))) ** 2, count)
     lags = count // 4 // 2 * 2
     covariance = products[:lags] / np.maximum(np.round(pairs_seen[:lags]), 1)
     if lags < 4 or covariance[0] <= 0:
-        return 1.0
+        return 1.0, 0
     pairs = (covariance / covariance[0]).reshape(-1, 2).sum(axis=1)
     positive = len(pairs) if np.all(pairs > 0) else int(np.argmax(pairs <= 0))
-    return float(2 * pairs[:positive].sum() - 1)
+    return float(2 * pairs[:positive].sum() - 1), 2 * positive - 1
