@@ -138,7 +138,7 @@ def _places(candidates: list[Candidate]) -> str:
 def _explain(grey: Grey, rejected: _Rejected) -> SpotNotFound:
     if grey.clipped is not None and grey.clipped.mean() > 0.5:
         return SpotNotFound(NoSpotReason.TOO_BRIGHT)
-    if rejected.reason is not None:
+    if rejected.reason not in (None, NoSpotReason.NO_CONTRAST):
         return SpotNotFound(rejected.reason, f"It is near ({rejected.place[0]:.0f}, {rejected.place[1]:.0f}).")
     if np.quantile(grey.values, 0.999) < _DARK:
         return SpotNotFound(NoSpotReason.TOO_DARK)

@@ -157,6 +157,8 @@ def pyramid(image: NDArray[Any], origin: tuple[int, int], noise: float) -> list[
     while min(image.shape) >= 2 * _MIN_LEVEL:
         height, width = image.shape[0] // 2, image.shape[1] // 2
         # An odd last row or column is left out: what remains is halved exactly.
+        # Smoothed first, so that fine patterns do not show as coarse ones; the finest level is too large for that.
+        image = levels[-1].smooth if len(levels) > 1 else image
         image = np.asarray(cv2.resize(image[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA))
         if len(levels) == 1 and image.dtype.kind == "u":
             # A quarter of the pixels: means need not be rounded any more.

@@ -26,7 +26,9 @@ WHOLE = 0.85  # of the boundary
 _VOTED = 150_000  # pixels: on larger levels edges do not vote, which takes long and finds small things
 _AGREE = 0.3  # of the rays
 _ALIKE = 0.1  # of the size: ellipses that differ by less are followed once
+_MAX_RATIO = 12.5  # of the semi-axes: a tilt of 85 degrees
 _MIN_SUPPORT = 0.5  # of the boundary
+_MIN_REST = 0.8  # of the boundary that is on the image, if some of it is not
 _MAX_BEYOND = 0.3  # of the boundary: with more light beyond it, it is not a boundary
 _MAX_OUTSIDE = 0.45  # of the boundary
 
@@ -148,7 +150,7 @@ def _judge(levels: list[Level], seeds: Seeds, threshold: float, beam: BeamHint) 
     misfit = beam.misfit(traced.ellipses)
     verdicts = _verdicts(traced, misfit, threshold)
     seen = np.maximum(traced.support - traced.beyond, 0)
-    rank = traced.ellipses.size * np.sqrt(traced.height) * seen**2 * traced.sharpness / (1 + misfit**2)
+    rank = traced.ellipses.size * np.sqrt(traced.height) * (seen * traced.sharpness) ** 2 / (1 + misfit**2)
     good = np.array([verdict is None for verdict in verdicts], dtype=bool)
     return Judged(traced, verdicts, seen, np.where(good, rank, 0))
 
@@ -156,8 +158,12 @@ def _judge(levels: list[Level], seeds: Seeds, threshold: float, beam: BeamHint) 
 def _verdicts(traced: Traced, misfit: Array, threshold: float) -> list[NoSpotReason | None]:
     """Return for each ellipse why it is no spot, or None."""
     small = (traced.ellipses.size < _MIN_SIZE) | (traced.ellipses.semi_axes[:, 1] < _MIN_MINOR)
-    cut = (traced.outside > _MAX_OUTSIDE) | ((traced.outside > 0.1) & (traced.support < _MIN_SUPPORT))
+    # Of what is cut off by the border the rest has to be seen: many ellipses fit to a corner.
+    rest = traced.support < _MIN_REST * (1 - traced.outside)
+    cut = (traced.outside > _MAX_OUTSIDE) | ((traced.outside > 0.1) & rest)
     shapeless = (traced.support < _MIN_SUPPORT) | (traced.beyond > _MAX_BEYOND)
+    axes = traced.ellipses.semi_axes
+    shapeless |= axes[:, 0] > _MAX_RATIO * axes[:, 1]
     faint = traced.height < threshold * 0.5
     rules = (
         (faint, NoSpotReason.NO_CONTRAST),

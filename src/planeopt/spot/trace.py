@@ -18,13 +18,14 @@ Array = NDArray[np.floating]
 _NORMALS = 48
 _WINDOW = 3.0  # px of the level: how far off an edge is looked for
 _STEP = 0.75  # px of the level
-_ROUNDS = 2  # at the first level; where it came from a coarser one, one will do
+_ROUNDS = 2
 _STRIDE = 2  # levels: what is found at one is good enough for the next but one
 _FINE = 56.0  # px: no level is needed on which a spot is larger
 _SOFT = 0.45  # of the height at the level before: an edge that is lower at the finer level has nothing finer to show
+_BEND = 0.4  # of that: what the edges may be off by together, RMS
 _HEIGHT = 0.35, 2.5  # of the typical height: what is less, or more, is not the same edge
 _BRIGHT = 0.8  # of the plateau's height: what is so bright is not the surroundings
-_TOLERANCE = 0.35, 0.02  # px of the level, and of the radius: what an ellipse may be off by itself
+_TOLERANCE = 0.25, 0.012  # px of the level, and of the radius: what an ellipse may be off by itself
 _JITTER = 2.5  # by what the noise of the edges adds to that,
 _MAX_JITTER = 0.5, 0.04  # up to so many px, and of the radius
 
@@ -87,7 +88,7 @@ def trace(levels: list[Level], starts: Ellipses, found_at: NDArray[np.intp]) -> 
         arrived, moving, due = moving[due == index], moving[due != index], due[due != index]
         parts: list[Traced] = []
         if len(arrived):
-            followed = _follow(level, arrived.ellipses, 1)
+            followed = _follow(level, arrived.ellipses, _ROUNDS)
             share = followed.height / arrived.height
             # A softer edge than a pixel falls in height as the levels get finer.
             followed = replace(followed, sharpness=np.minimum(arrived.sharpness * np.minimum(share, 1), 1.0))
@@ -141,6 +142,8 @@ def _follow(level: Level, ellipses: Ellipses, rounds: int) -> Traced:
     limit = _TOLERANCE[0] + _TOLERANCE[1] * size
     limit = limit + np.minimum(_JITTER * _jitter(offset, height, typical), _MAX_JITTER[0] + _MAX_JITTER[1] * size)
     good = seen & (height > _HEIGHT[0] * typical[:, None]) & (np.abs(offset) < limit[:, None])
+    # What crosses the ellipse at an angle is within the limits as well, for a while, but on either side of it.
+    good &= (_bend(offset, good) < _BEND * limit)[:, None]
     # The edge that counts is the one that the ellipse is drawn on, not something stronger beside it.
     typical = np.where(good.sum(axis=1) > _NORMALS // 4, _typical(height, good), typical)
     good &= (height > _HEIGHT[0] * typical[:, None]) & (height < _HEIGHT[1] * typical[:, None])
@@ -191,6 +194,17 @@ def _typical(height: Array, which: NDArray[np.bool_]) -> Array:
     count = which.sum(axis=1)
     middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[:, None] // 2, axis=1)[:, 0]
     return np.where(count > 0, np.maximum(middle, 1e-9), 1e-9)
+
+
+def _bend(offset: Array, good: NDArray[np.bool_]) -> Array:
+    """Return the RMS (K,) of the edges' places after averaging those of five normals, which leaves little noise."""
+    total, count = np.zeros_like(offset), np.zeros(offset.shape)
+    for step in range(-2, 3):
+        total += np.roll(np.where(good, offset, 0), step, axis=1)
+        count += np.roll(good, step, axis=1)
+    mean = total / np.maximum(count, 1)
+    use = good & (count >= 3)
+    return np.sqrt((mean**2 * use).sum(axis=1) / np.maximum(use.sum(axis=1), 1))
 
 
 def _jitter(offset: Array, height: Array, typical: Array) -> Array:
