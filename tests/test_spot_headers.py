@@ -75,10 +75,22 @@ def read(folder: Path, data: bytes) -> NDArray:
     return read_image(folder / "image")
 
 
+def changed(data: bytes, place: int, new: bytes) -> bytes:
+    return data[:place] + new + data[place + len(new) :]
+
+
+def value_of(data: bytes, tag: int) -> int:
+    """Where the value of an entry of a little-endian TIFF's directory lies."""
+    return data.index(struct.pack("<H", tag), struct.unpack_from("<I", data, 4)[0]) + 8
+
+
 def two_pages() -> bytes:
-    ok, data = cv2.imencodemulti(".tiff", [GREY, GREY[::-1].copy()])
-    assert ok
-    return data.tobytes()
+    """A TIFF whose first directory leads to a second one, of the image upside down, at the end of the file."""
+    data = tiff(GREY)
+    entries = struct.unpack_from("<H", data, 8)[0]
+    end = 8 + 2 + 12 * entries
+    second = changed(data[8 : end + 4], value_of(data, 273) - 8, struct.pack("<I", len(data)))
+    return changed(data, end, struct.pack("<I", len(data) + GREY.nbytes)) + GREY[::-1].tobytes() + second
 
 
 BITS = np.unpackbits(GREY[:, :4], axis=1)
@@ -165,15 +177,6 @@ def test_signs_of_coded_values(case: str, tmp_path: Path):
     data, expected = CODED[case]
     (tmp_path / "image").write_bytes(data)
     assert load_image(tmp_path / "image").encoded is expected
-
-
-def changed(data: bytes, place: int, new: bytes) -> bytes:
-    return data[:place] + new + data[place + len(new) :]
-
-
-def value_of(data: bytes, tag: int) -> int:
-    """Where the value of an entry of a little-endian TIFF's directory lies."""
-    return data.index(struct.pack("<H", tag), struct.unpack_from("<I", data, 4)[0]) + 8
 
 
 def entry(tag: int, value: int) -> Callable[[], bytes]:

@@ -18,6 +18,7 @@ MAX_PIXELS = 2**28
 _PNG = b"\x89PNG\r\n\x1a\n"
 _PNG_ENCODED = (b"sRGB", b"iCCP", b"cICP")
 _PNG_LINEAR = 100_000  # the chunk gAMA holds the exponent of the encoding times this
+_JPEG, _JPEG_PIXELS, _JPEG_END = b"\xff\xd8\xff", b"\xff\xda", b"\xff\xd9"
 _TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 
@@ -57,8 +58,13 @@ def coding_of(data: bytes) -> Coding:
         _check_size(*directory.size)
         directory.check_strips(len(data))
         return Coding(_tiff_is_encoded(directory), directory.as_stored(data))
+    if data.startswith(_JPEG):
+        # Its pixels begin after one mark and must end with another; within them neither can occur.
+        if data.rfind(_JPEG_END) < data.rfind(_JPEG_PIXELS):
+            raise InputError("the image is damaged: it breaks off before its end")
+        return Coding(True, data)
     webp = data.startswith(b"RIFF") and data[8:12] == b"WEBP"
-    return Coding(webp or data.startswith((b"\xff\xd8\xff", b"GIF8")), data)
+    return Coding(webp or data.startswith(b"GIF8"), data)
 
 
 def _check_size(width: int, height: int) -> None:
