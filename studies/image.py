@@ -19,7 +19,7 @@ from studies.image_poses import HARD, Job, run_poses
 from studies.image_summary import cases_of, finding, headline, honesty_of
 from studies.study import Mode, Result
 
-_IMAGES = {"full": (400, 200, 100), "quick": (60, 10, 4)}
+_IMAGES = {"full": (400, 200, 100), "quick": (50, 8, 4)}
 """Plain ones, of each hard case, and with each fault."""
 
 

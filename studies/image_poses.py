@@ -27,7 +27,7 @@ SIGMAS = 4.0
 MAHALANOBIS = float(np.sqrt(scipy.stats.chi2.isf(2 * scipy.stats.norm.sf(SIGMAS), 3)))
 """The distance in three dimensions that is as rare as 4 standard deviations in one."""
 
-IMAGE_SIZE = (800, 600)
+IMAGE_SIZE = (640, 480)
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def _lit(seed: int, name: str, look: Look, radius: Range) -> tuple[Lit, np.rando
     return draw_scene(View(radius, kind=kind_of(seed), image_size=IMAGE_SIZE), look, rng), rng
 
 
-SIZES = Range(25.0, 120.0)
+SIZES = Range(25.0, 100.0)
 
 
 def _plain(seed: int) -> Lit:

@@ -41,6 +41,7 @@ SHARP = {
     "small": spot_scene(8, 30),
     "small and flat": spot_scene(9, 65, offset=(170.0, -90.0), blur=0.7),
     "small, much blur": spot_scene(8, 0, blur=2.0),
+    "a sliver": spot_scene(16, 66, offset=(250.0, 138.0), blur=0.7, size=(420, 400)),
     "medium, steep": spot_scene(24, 70, blur=0.5),
     "parallel, no distortion": spot_scene(40, 45, direction=(0.0, 0.0, 1.0), distortion=(0.0, 0.0, 0.0, 0.0, 0.0)),
     "far off the axis": spot_scene(60, 60, offset=(160.0, 120.0), blur=1.5),
@@ -211,6 +212,7 @@ UNSEEN = [
     ({"plane": SpotPose.from_slopes(3.0, 3.0, 3.0, 1.0)}, "cannot see its lit side"),
     ({"plane": SpotPose.from_slopes(9.0, -3.0, -3.0, 1.0)}, "part of the spot lies behind the camera"),
     ({"plane": SpotPose.from_slopes(20.0, 0, 0, 1.0)}, "outside of the image"),
+    ({"plane": SpotPose.from_slopes(240.0, 14.8, 3.6422, 1.0)}, "seen so much from the side"),
     ({"beam": BeamProfile(kind="ring", line_mm=0.001)}, "beam.line_mm: the ring's line"),
 ]
 

@@ -54,14 +54,18 @@ class View:
         first, second = (a * x + b * y + c) * inverse, (d * x + e * y + f) * inverse
         return np.where(before, first, FAR), np.where(before, second, FAR), w
 
-    def rho(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
-        """Return `rho` of rays with normalised coordinates x, y, and its derivatives with x and y."""
+    def level(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
+        """Return (rho^2 - 1) / 2 of rays with normalised coordinates x, y, and its derivatives with x and y.
+
+        It is smooth everywhere, the axis included, and on the boundary its slope is that of `rho`.
+        """
         (a, b, _), (d, e, _), (g, h, _) = self.homography.tolist()
         first, second, w = self.xi(x, y)
-        rho = np.hypot(first, second)
-        scale = 1 / (np.maximum(rho, 1e-12) * np.where(w > 0, w, 1.0))
-        squares = rho * rho
-        return rho, (first * a + second * d - squares * g) * scale, (first * b + second * e - squares * h) * scale
+        scale = 1 / np.where(w > 0, w, 1.0)
+        squares = first * first + second * second
+        by_x = (first * a + second * d - squares * g) * scale
+        by_y = (first * b + second * e - squares * h) * scale
+        return 0.5 * (squares - 1), by_x, by_y
 
     def outline(self, theta: Array, radii: float = 1.0) -> Array:
         """Return the raw pixels (N, 2) of the circle `rho = radii` at angles (N,) in the cross-section."""
@@ -85,6 +89,12 @@ class View:
         x, y = (at + 1j * _COMPLEX_STEP * direction).T
         xd, yd = distort(x, y, *camera.distortion)
         return np.stack([camera.fx * xd.imag, camera.fy * yd.imag], axis=-1) / _COMPLEX_STEP
+
+    def sharpest(self, count: int = 1440) -> float:
+        """Return the boundary's largest curvature in the image, 1/px (the lens taken as linear round each point)."""
+        _, first, second = self._trace(np.linspace(0, math.tau, count, endpoint=False))
+        cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+        return float(np.max(np.abs(cross) / np.linalg.norm(first, axis=1) ** 3))
 
     def in_image(self, px: Array) -> NDArray[np.bool_]:
         """Whether pixels (N, 2) lie on the sensor."""

@@ -25,9 +25,12 @@ Mask = NDArray[np.bool_]
 _ENOUGH = 0.65
 _TAIL = 5.5
 _FINE, _COARSE = 8, 4
-_SMALL_PX = 25.0
-_ROWS = 64
-# Beyond this distance from a sharp edge its light is flat to 1e-12, with the second order of the distance allowed for.
+_FACTORS = (_COARSE, _FINE, 16, 32)
+# Curvature times smoothing up to which the closed form, of first order in it, leaves 1e-5 px.
+_BEND = 0.05
+_SAMPLES = 4_000_000
+"""How many to hold at a time."""
+# Beyond this distance from a sharp edge its light is flat to 1e-12, with the error of the distance allowed for.
 _NEAR_PX = 3.0
 
 
@@ -86,9 +89,9 @@ class _Pixels:
     xi : (2, h, w) ndarray
     rho : (h, w) ndarray
     distance : (h, w) ndarray
-        To `rho = 1`, to first order, px.
+        To `rho = 1`, to second order, px.
     curving, bend : (h, w) ndarray
-        Second derivatives of rho along and across its contour, over its slope, 1/px.
+        Second derivatives of (rho^2 - 1) / 2 along and across its contour, 1/px^2.
     """
 
     rays: Array
@@ -112,7 +115,7 @@ def spot_patch(view: View, rng: np.random.Generator) -> Patch:
     Raises
     ------
     InputError
-        If a ring's line or a disc's blur is too thin to be sampled, or the lens cannot be inverted round the spot.
+        If a ring's line or the whole spot is too thin to be sampled, or the lens cannot be inverted round the spot.
     """
     scene = view.scene
     beam, radius = scene.beam, scene.rig.require_beam().radius
@@ -139,7 +142,7 @@ def _sampling(view: View) -> _Sampling:
     Raises
     ------
     InputError
-        If a ring's line is too thin to be sampled.
+        If a ring's line or the whole spot is too thin to be sampled.
     """
     scene = view.scene
     beam, blur = scene.beam, scene.optics.blur_px
@@ -157,8 +160,14 @@ def _sampling(view: View) -> _Sampling:
             f"beam.line_mm: the ring's line is {width:.2g} px wide in the image where it is narrowest (standard "
             f"deviation); at least {_ENOUGH / _FINE:.2g} px can be rendered"
         )
-    size = float(np.min(np.linalg.norm(outline - outline.mean(axis=0), axis=1)))
-    factor = _FINE if size < _SMALL_PX or blur < 0.4 else _COARSE
+    sharpest = view.sharpest()
+    if sharpest * _ENOUGH > _FACTORS[-1]:
+        raise InputError(
+            f"plane: the spot is seen so much from the side that its image has tips of radius {1 / sharpest:.1g} px; "
+            f"at least {_ENOUGH / _FACTORS[-1]:.1g} px can be rendered"
+        )
+    finest = min(_BEND / sharpest, blur / 2)
+    factor = next((factor for factor in _FACTORS if _ENOUGH / factor <= finest), _FACTORS[-1])
     closed = _ENOUGH / factor
     return _Sampling(factor, closed, math.sqrt(blur**2 - closed**2))
 
@@ -195,25 +204,29 @@ def _survey(view: View, left: int, top: int, right: int, bottom: int) -> _Pixels
     rays = np.ascontiguousarray(np.moveaxis(normalised, -1, 0))
     by_px = np.ascontiguousarray(np.moveaxis(jacobian, (-2, -1), (0, 1)))
     xi = np.stack(view.xi(*rays)[:2])
-    rho, dx, dy = _slope(view, rays, by_px)
+    level, dx, dy = _slope(view, rays, by_px)
     steepness = np.maximum(np.hypot(dx, dy), 1e-12)
     nx, ny = dx / steepness, dy / steepness
-    # Second derivatives of rho serve small corrections only: differences from pixel to pixel will do.
+    # Second derivatives of what is nearly quadratic: differences from pixel to pixel will do.
     xx, xy, yy = np.gradient(dx, axis=1), np.gradient(dx, axis=0), np.gradient(dy, axis=0)
     bend = nx * nx * xx + 2 * nx * ny * xy + ny * ny * yy
     curving = ny * ny * xx - 2 * nx * ny * xy + nx * nx * yy
-    return _Pixels(rays, by_px, xi, rho, (rho - 1) / steepness, curving / steepness, bend / steepness)
+    return _Pixels(rays, by_px, xi, np.hypot(*xi), _distance(level, steepness, bend), curving, bend)
+
+
+def _distance(level: Array, steepness: Array, bend: Array) -> Array:
+    """Return the distance from where a quadratic is zero along its gradient: exact for circles."""
+    return 2 * level / (steepness + np.sqrt(np.maximum(steepness * steepness - 2 * level * bend, 0.0)))
 
 
 def _slope(view: View, rays: Array, by_px: Array) -> tuple[Array, Array, Array]:
-    """Return rho and its derivatives with the pixel's x and y, of rays (2, ...) that change by (2, 2, ...) a pixel."""
-    rho, by_x, by_y = view.rho(rays[0], rays[1])
-    return rho, by_x * by_px[0, 0] + by_y * by_px[1, 0], by_x * by_px[0, 1] + by_y * by_px[1, 1]
+    """Return the level and its derivatives with the pixel's x and y, of rays (2, ...) that change by (2, 2, ...)."""
+    level, by_x, by_y = view.level(rays[0], rays[1])
+    return level, by_x * by_px[0, 0] + by_y * by_px[1, 0], by_x * by_px[0, 1] + by_y * by_px[1, 1]
 
 
 def _active(pixels: _Pixels, inner: float, outer: float) -> Mask:
     """Return which pixels need samples of their own: those where the irradiance is not flat."""
-    # The distance is of first order; pixels further than this from the edge are flat whatever its curvature.
     near = np.abs(pixels.distance) < _NEAR_PX
     return (near | ((pixels.rho > inner) & (pixels.rho < outer))) & (pixels.rho < FAR)
 
@@ -244,12 +257,11 @@ def _fine_values(view: View, pixels: _Pixels, uneven: Array, active: Mask, sampl
 def _smoothed_edge(view: View, pixels: _Pixels, active: Mask, rays: Array, blur: float) -> Array:
     """Return a disc at samples (2, n, s * s) of the active pixels, smoothed by a Gaussian of this width, px."""
     scene = view.scene
-    rho, dx, dy = _slope(view, rays, pixels.rays_by_px[:, :, active, None])
-    steepness = np.hypot(dx, dy)
-    distance = (rho - 1) / steepness
-    distance = distance + 0.5 * pixels.bend[active, None] * distance * distance
+    level, dx, dy = _slope(view, rays, pixels.rays_by_px[:, :, active, None])
+    steepness = np.maximum(np.hypot(dx, dy), 1e-12)
     # A blurred convex edge draws back by half its curvature times the blur squared.
-    distance = distance + 0.5 * blur**2 * pixels.curving[active, None]
+    drawn = 0.5 * blur**2 * pixels.curving[active, None] / steepness
+    distance = _distance(level, steepness, pixels.bend[active, None]) + drawn
     soft = scene.beam.edge_mm / scene.rig.require_beam().radius / steepness
     # Where the profile's middle lies if the beam's radius is at another level than half.
     middle = float(ndtri(scene.beam.level)) * soft
@@ -263,8 +275,9 @@ def _sum(values: Array, active: Mask, fine: Array, sampling: _Sampling) -> Array
     across = _kernel(width, sampling)
     columns = np.empty((height * s, width - 2 * sampling.margin))
     last = 0
-    for top in range(0, height, _ROWS):
-        rows = slice(top, min(top + _ROWS, height))
+    strip = max(1, _SAMPLES // (width * s * s))
+    for top in range(0, height, strip):
+        rows = slice(top, min(top + strip, height))
         samples = np.repeat(np.repeat(values[rows, None, :, None], s, axis=1), s, axis=3)
         here = active[rows]
         count = int(np.count_nonzero(here))

@@ -147,9 +147,9 @@ class Terms:
         As in `Band`.
     stretch : (M,) array
         By how much more than on average the beam's own scale is stretched across the boundary.
-    boundary : (M, n) array
+    boundary : (n, M) array
         Waves of the boundary's offset.
-    ground, top, slope : (M, n) array
+    ground, top, slope : (n, M) array
         Background; plateau; the plateau's derivative across the boundary, 1/px.
     rest : (M,) array
         What the rendered profile has more than the analytic one.
@@ -167,7 +167,7 @@ class Terms:
 
     def part(self, keep: Mask) -> "Terms":
         """Return the terms of these pixels (M,) alone."""
-        return Terms(*(getattr(self, field.name)[keep] for field in fields(self)))
+        return Terms(*(np.compress(keep, getattr(self, field.name), axis=-1) for field in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,8 +181,8 @@ class Seen:
         Of the value over the background.
     position : (M,) array
         Derivative by the boundary's place, px outwards.
-    design : (M, n) array
-        Derivatives by the surfaces' coefficients.
+    level, slope : (M,) array
+        Of the profile; `slope` inwards, 1/px.
     by_blur, by_line : (M,) array
         Derivatives by the variances.
     """
@@ -190,7 +190,8 @@ class Seen:
     value: Array
     height: Array
     position: Array
-    design: Array
+    level: Array
+    slope: Array
     by_blur: Array
     by_line: Array
 
@@ -199,14 +200,15 @@ def terms_of(band: Band, kind: Kind, free: Freedom, widths: Widths) -> Terms:
     """Return the terms of a band for a model of these freedoms, its profile rendered with these widths."""
     c, s = np.cos(band.theta), np.sin(band.theta)
     stretch = 1.0 / (np.hypot(c / band.outline.a, s / band.outline.b) * band.outline.size)
-    ground, _ = _surface(band, free.background, free.background_waves, free.background_slopes)
-    top, slope = _surface(band, free.plateau, free.plateau_waves, free.plateau_slopes)
+    all_waves = waves(band.theta, max(free.waves, free.background_waves, free.plateau_waves))
+    ground, _ = _surface(band, all_waves, free.background, free.background_waves, free.background_slopes)
+    top, slope = _surface(band, all_waves, free.plateau, free.plateau_waves, free.plateau_slopes)
     return Terms(
         u=band.u,
         curvature=band.curvature,
         values=band.values,
         stretch=stretch,
-        boundary=waves(band.theta, 0, free.waves),
+        boundary=all_waves[: 2 * free.waves + 1],
         ground=ground,
         top=top,
         slope=slope,
@@ -214,14 +216,14 @@ def terms_of(band: Band, kind: Kind, free: Freedom, widths: Widths) -> Terms:
     )
 
 
-def _surface(band: Band, degree: int, highest: int, slopes: bool) -> tuple[Array, Array]:
-    """Return the terms (M, n) of a surface, and their derivatives (M, n) across the boundary, 1/px."""
+def _surface(band: Band, all_waves: Array, degree: int, highest: int, slopes: bool) -> tuple[Array, Array]:
+    """Return the terms (n, M) of a surface, and their derivatives (n, M) across the boundary, 1/px."""
     size = band.outline.size
-    wavy = waves(band.theta, degree + 1, highest)
-    rising = waves(band.theta, 0, _ELLIPSE_WAVES if slopes else -1)
-    value = [surface(band.places, degree), wavy, rising * (band.u / size)[:, None]]
-    slope = [surface_slope(band.places, band.normals, degree) / size, np.zeros_like(wavy), rising / size]
-    return np.concatenate(value, axis=1), np.concatenate(slope, axis=1)
+    wavy = all_waves[2 * degree + 1 : 2 * highest + 1]
+    rising = all_waves[:_N_ELLIPSE] / size if slopes else all_waves[:0]
+    value = [surface(band.places, degree), wavy, rising * band.u]
+    slope = [surface_slope(band.places, band.normals.T, degree) / size, np.zeros_like(wavy), rising]
+    return np.concatenate(value), np.concatenate(slope)
 
 
 def _remainder(band: Band, kind: Kind, widths: Widths, stretch: Array) -> Array:
@@ -252,21 +254,28 @@ def _profile(
 
 def see(terms: Terms, model: Model) -> Seen:
     """Return the model in the pixels of some terms."""
-    u = terms.u - terms.boundary @ model.offset
+    u = terms.u - model.offset @ terms.boundary
     level, slope, (by_blur, by_line) = _profile(model.kind, u, terms.curvature, terms.stretch, model.widths)
     level = level + terms.rest
+    split = model.freedom.background_terms
+    plateau = model.surface[split:] @ terms.top
     # A plateau with a slope, blurred: the product of both, and by Stein's identity blur^2 times the product of slopes.
-    top = terms.top * level[:, None] - terms.slope * (model.widths.blur * slope)[:, None]
-    split = terms.ground.shape[1]
-    height, plateau = top @ model.surface[split:], terms.top @ model.surface[split:]
+    height = plateau * level - (model.surface[split:] @ terms.slope) * (model.widths.blur * slope)
     return Seen(
-        value=terms.ground @ model.surface[:split] + height,
+        value=model.surface[:split] @ terms.ground + height,
         height=height,
         position=plateau * slope,
-        design=np.concatenate([terms.ground, top], axis=1),
+        level=level,
+        slope=slope,
         by_blur=plateau * by_blur,
         by_line=plateau * by_line,
     )
+
+
+def _design(terms: Terms, model: Model, seen: Seen) -> Array:
+    """Return the derivatives (n, M) by the coefficients of background and plateau."""
+    top = terms.top * seen.level - terms.slope * (model.widths.blur * seen.slope)
+    return np.concatenate([terms.ground, top])
 
 
 def variance(model: Model, seen: Seen) -> Array:
@@ -308,19 +317,24 @@ class Fitted:
     model: Model
     information: Array
 
-    @property
-    def shared_inflation(self) -> float:
+    def shared_inflation(self, times: float) -> float:
         """By how much what all points share makes the ellipse less certain than each point's own noise says.
 
         The variance with everything else free over that with everything else known, midway between its mean over the
         changes that an ellipse can make and its largest: one number for all of them. It is the size that has the
         largest; the others are taken for somewhat less certain than they are, it for somewhat more.
+
+        Parameters
+        ----------
+        times : float
+            How many times more points there are than were fitted here: what is shared is known no better for them.
         """
         n, places = _N_ELLIPSE, self._shared
         ellipse, shared = self.information[:n, :n], self.information[np.ix_(places, places)]
         mixed = self.information[:n, places]
         left = ellipse - mixed @ solve(shared, mixed.T)
         ratios = 1 / np.maximum(scipy.linalg.eigh(left, ellipse, eigvals_only=True), 1e-6)
+        ratios = 1 + times * (ratios - 1)
         return float(np.sqrt((ratios.mean() + ratios.max()) / 2))
 
     def pruned(self) -> "Fitted":
@@ -388,10 +402,9 @@ def fit_model(terms: Terms, model: Model, *, steps: int) -> Fitted:
     steps : int
         Of Gauss-Newton, at most.
     """
-    ground = terms.ground.shape[1]
-    blank = replace(model, surface=np.zeros(ground + terms.top.shape[1]))
-    design = see(terms, blank).design
-    model = replace(model, surface=solve(design.T @ design, design.T @ terms.values))
+    model = replace(model, surface=np.zeros(len(terms.ground) + len(terms.top)))
+    design = _design(terms, model, see(terms, model))
+    model = replace(model, surface=solve(design @ design.T, design @ terms.values))
     information = np.eye(1)
     for step in range(steps):
         information, right = _normal_equations(terms, model)
@@ -405,10 +418,10 @@ def fit_model(terms: Terms, model: Model, *, steps: int) -> Fitted:
 def _normal_equations(terms: Terms, model: Model) -> tuple[Array, Array]:
     seen = see(terms, model)
     root = 1 / np.sqrt(variance(model, seen))
-    columns = [seen.position[:, None] * terms.boundary, seen.design]
-    columns += [seen.by_blur[:, None]] * model.freedom.blur + [seen.by_line[:, None]] * model.freedom.line
-    jacobian = np.concatenate(columns, axis=1) * root[:, None]
-    information, right = jacobian.T @ jacobian, jacobian.T @ ((terms.values - seen.value) * root)
+    rows = [seen.position * terms.boundary, _design(terms, model, seen)]
+    rows += [seen.by_blur[None]] * model.freedom.blur + [seen.by_line[None]] * model.freedom.line
+    jacobian = np.concatenate(rows) * root
+    information, right = jacobian @ jacobian.T, jacobian @ ((terms.values - seen.value) * root)
     if model.freedom.blur and model.freedom.line:
         total = model.widths.blur + model.widths.line
         row = np.zeros(len(right))

@@ -11,6 +11,7 @@ from planeopt.spot.points import NoSpotReason, SpotNotFound
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+_RUN = 12  # segments side by side, where not all are taken
 _MAX_SEGMENTS = 3000  # of a perimeter beyond that, each is longer than a pixel
 
 
@@ -42,6 +43,8 @@ class Band:
         Number of the segment of that point.
     count : int
         S.
+    chosen : (S,) bool array
+        Segments whose pixels are here.
     """
 
     outline: Outline
@@ -56,6 +59,7 @@ class Band:
     curvature: Array
     segment: NDArray[np.intp]
     count: int
+    chosen: Mask
 
     def part(self, keep: Mask) -> "Band":
         """Return the band with these pixels (M,) alone."""
@@ -72,18 +76,29 @@ class Band:
             self.curvature[keep],
             self.segment[keep],
             self.count,
+            self.chosen,
         )
 
     @property
     def places(self) -> Array:
-        """(M, 2) array: the pixels' centres relative to the ellipse's, in units of the ellipse's size."""
+        """(2, M) array: the pixels' centres relative to the ellipse's, in units of the ellipse's size."""
         x = self.columns + (self.box[0] - self.outline.x)
         y = self.rows + (self.box[1] - self.outline.y)
-        return np.asarray(np.stack([x, y], axis=1) / self.outline.size, dtype=np.float64)
+        return np.asarray(np.stack([x, y]) / self.outline.size, dtype=np.float64)
 
 
-def band_round(values: NDArray[np.float32], clipped: Mask | None, outline: Outline, inner: float, outer: float) -> Band:
+def band_round(
+    values: NDArray[np.float32],
+    clipped: Mask | None,
+    outline: Outline,
+    inner: float,
+    outer: float,
+    *,
+    most: int | None = None,
+) -> Band:
     """Return the pixels from `inner` px inside an ellipse to `outer` px outside it.
+
+    Where they would be more than `most`, of every second, third ... run of segments alone.
 
     Raises
     ------
@@ -97,12 +112,18 @@ def band_round(values: NDArray[np.float32], clipped: Mask | None, outline: Outli
     if x1 - x0 < 4 or y1 - y0 < 4:
         raise SpotNotFound(NoSpotReason.TOUCHES_BORDER)
     rows, columns = _near(outline, (x0, y0, x1, y1), inner, outer)
-    u, theta = outline.nearest(np.stack([columns + x0, rows + y0], axis=1).astype(np.float64))
-    keep = (u >= -inner) & (u <= outer)
-    rows, columns, u, theta = rows[keep], columns[keep], u[keep], theta[keep]
-    _, normals, curvature = outline.at(theta)
     count = int(np.clip(np.ceil(outline.perimeter), 16, _MAX_SEGMENTS))
+    every = 1 if most is None else max(1, len(rows) // most)
+    if every > 1:
+        # By the angle of the pixel itself: at the ends of a run it says nearly the same as that of the nearest point.
+        local = outline.local(np.stack([columns + x0, rows + y0], axis=1).astype(np.float64))
+        run = (outline.share_before(np.arctan2(local[:, 1] / outline.b, local[:, 0] / outline.a)) * count) // _RUN
+        rows, columns = rows[run % every == 0], columns[run % every == 0]
+    u, theta = outline.nearest(np.stack([columns + x0, rows + y0], axis=1).astype(np.float64))
     segment = np.minimum((outline.share_before(theta) * count).astype(np.intp), count - 1)
+    keep = (u >= -inner) & (u <= outer) & (segment // _RUN % every == 0)
+    rows, columns, u, theta, segment = rows[keep], columns[keep], u[keep], theta[keep], segment[keep]
+    _, normals, curvature = outline.at(theta)
     part = values[y0:y1, x0:x1]
     full = np.zeros(len(rows), dtype=np.bool_) if clipped is None else clipped[y0:y1, x0:x1][rows, columns]
     return Band(
@@ -118,6 +139,7 @@ def band_round(values: NDArray[np.float32], clipped: Mask | None, outline: Outli
         curvature,
         segment,
         count,
+        np.arange(count) // _RUN % every == 0,
     )
 
 

@@ -35,11 +35,11 @@ Straighten = Callable[[Array], tuple[Array, Array]]
 """Raw pixels (N, 2) to pixels without distortion (N, 2) and the local stretch (N,)."""
 
 _ROUNDS = 4
-_STEPS = 6  # of Gauss-Newton, from a start
+_STEPS = 4  # of Gauss-Newton, from a start
 _LAST_STEPS = 2  # from the solution on some of the pixels, with all of them
 _SETTLED = 0.05  # of the width: an ellipse that moves less is the same
-_SOME = 3000  # pixels: enough for a start
-_MOST = 30_000  # pixels that the shared parameters are fitted to
+_SOME = 2500  # pixels: enough for a start
+_MOST = 20_000  # pixels that the shared parameters are fitted to
 _BAD_SEGMENT = 6.0  # robust standard deviations of the segments' misfit
 _GOOD_SEGMENT = 0.02  # of the plateau: a misfit that is good enough, however small the noise
 _MIN_SHARE = 0.35  # of the boundary: a shorter arc hardly holds an ellipse
@@ -49,7 +49,8 @@ _SIGMA_FLOOR = 1e-3  # px: what is left of the model's own error
 _CLIP = 3.0  # standard deviations below full scale: from there on clipping bends the noise
 _MARGIN, _MARGIN_PX = 0.25, 64  # of the spot's size, and px, that are looked at round it
 _WAVE = 30.0  # px of the boundary a wave of offset, plateau or background
-_LEAST_WAVES, _MOST_WAVES = 2, 6  # of the boundary: what an ellipse can do, at least
+_SURFACE_WAVES = 6
+_LEAST_WAVES, _MOST_WAVES = 2, 4  # of the boundary: what an ellipse can do, at least
 _NARROW = 6.0  # widths in half the spot: below, a plateau has hardly a shape
 _MIN_INFORMATION = 10.0  # times the usual variance: beyond, a segment shows no edge
 _SEEN_PLATEAU = 0.5  # of its pixels unclipped: else its shape is not known
@@ -209,6 +210,7 @@ class _Fit:
     points: Array
     there: Mask
     good: Mask
+    some: Mask
 
 
 def _improved(view: _View, state: _State) -> _State:
@@ -224,51 +226,55 @@ def _improved(view: _View, state: _State) -> _State:
     seen = see(terms, fit.fitted.model)
     law = noise_law(seen, terms.values - seen.value)
     model = replace(fit.fitted.model, noise=law)
-    return _State(found.outline, model, fit.good)
+    # A segment that was not looked at is as good as the nearest that was.
+    looked = np.flatnonzero(fit.band.chosen)
+    middle = (looked[1:] + looked[:-1] + 1) // 2
+    nearest = looked[np.searchsorted(middle, np.arange(fit.band.count), side="right")]
+    return _State(found.outline, model, fit.good[nearest])
 
 
 def _fit(view: _View, state: _State, *, last: bool) -> _Fit:
-    pixels, steps = (_MOST, _LAST_STEPS) if last else (_SOME, _STEPS)
+    steps = _LAST_STEPS if last else _STEPS
     outer = 4 * state.model.widths.mean + 3
     # The plateau's slope needs a longer lever inside than the background does outside.
     inner = outer + 2 if view.kind == "disc" else outer
-    band = band_round(view.values, view.clipped, state.outline, inner, outer)
+    band = band_round(view.values, view.clipped, state.outline, inner, outer, most=None if last else _SOME)
     good = state.good_of(band.count)
     _require_share(good)
     free = _freedom(state, band, good)
     # The waves start anew: the ellipse has taken up what it could of them.
     model = replace(state.model, freedom=free, offset=np.zeros(2 * free.waves + 1))
     terms = terms_of(band, view.kind, free, model.widths)
-    chosen = good & _spread(band, good, pixels)
+    some = _spread(band, good)
     usable = _unclipped(band, band.values, model.noise[0])
-    fitted = fit_model(terms.part(usable & chosen[band.segment]), model, steps=steps)
+    fitted = fit_model(terms.part(usable & some[band.segment]), model, steps=steps)
     if not usable.all():
         # What is left out by what was measured is left out too often where the noise went up.
         usable = _unclipped(band, see(terms, fitted.model).value, fitted.model.noise.sum())
-        fitted = fit_model(terms.part(usable & chosen[band.segment]), fitted.model, steps=steps)
+        fitted = fit_model(terms.part(usable & some[band.segment]), fitted.model, steps=steps)
     if last:
         fitted = fitted.pruned()
     segments = segments_of(band, terms, fitted.model, usable)
-    there, good = _judged(segments, fitted.model)
-    offset = waves(segments.theta, 0, free.waves) @ fitted.model.offset + segments.offset
+    there, good = _judged(segments, fitted.model, band.chosen)
+    offset = fitted.model.offset @ waves(segments.theta, free.waves) + segments.offset
     feet, normals, _ = band.outline.at(segments.theta)
-    return _Fit(band, fitted, terms, usable, segments, feet + normals * offset[:, None], there, good)
+    return _Fit(band, fitted, terms, usable, segments, feet + normals * offset[:, None], there, good, some)
 
 
 def _freedom(state: _State, band: Band, good: Mask) -> Freedom:
     """Return what can be told from so much of a spot of that size."""
     was, wide = state.model.freedom, band.outline.b / state.model.widths.mean
-    waves_seen = int(np.clip(band.outline.perimeter * good.mean() / _WAVE, _LEAST_WAVES, _MOST_WAVES))
+    room = int(band.outline.perimeter * good.mean() / _WAVE)
     degree, slopes = (1, False) if wide < _NARROW else (2, True)
-    surface_waves = max(degree, waves_seen if slopes else 0)
+    surface_waves = max(degree, min(room, _SURFACE_WAVES) if slopes else 0)
     plateau, plateau_waves, plateau_slopes = degree, surface_waves, slopes
     if state.model.kind == "ring":
         # A slope of its brightness cannot be told from another place of the ridge.
         plateau, plateau_slopes = 0, False
-    elif band.clipped[band.u < -state.model.widths.mean].mean() > 1 - _SEEN_PLATEAU:
+    elif _share(band.clipped, band.u < -state.model.widths.mean) > 1 - _SEEN_PLATEAU:
         plateau, plateau_waves, plateau_slopes = 0, 0, False
     return Freedom(
-        waves=waves_seen,
+        waves=int(np.clip(room, _LEAST_WAVES, _MOST_WAVES)),
         plateau=plateau,
         plateau_waves=plateau_waves,
         plateau_slopes=plateau_slopes,
@@ -280,10 +286,14 @@ def _freedom(state: _State, band: Band, good: Mask) -> Freedom:
     )
 
 
-def _spread(band: Band, good: Mask, pixels: int) -> Mask:
-    """Return which of S segments to take so that their pixels are about so many, spread evenly."""
-    every = max(1, int(good[band.segment].sum()) // pixels)
-    return np.arange(band.count) % every == 0
+def _share(what: Mask, of: Mask) -> float:
+    return float((what & of).sum()) / max(int(of.sum()), 1)
+
+
+def _spread(band: Band, good: Mask) -> Mask:
+    """Return which of the good segments (S,) the shared parameters are fitted to: all, or enough of them."""
+    every = max(1, len(band.u) // _MOST)
+    return good & (np.arange(band.count) % every == 0)
 
 
 def _unclipped(band: Band, value: Array, noise: float) -> Mask:
@@ -293,8 +303,10 @@ def _unclipped(band: Band, value: Array, noise: float) -> Mask:
     return ~band.clipped & (value < 1.0 - _CLIP * np.sqrt(noise))
 
 
-def _judged(segments: Segments, model: Model) -> tuple[Mask, Mask]:
+def _judged(segments: Segments, model: Model, chosen: Mask) -> tuple[Mask, Mask]:
     """Return which segments show the boundary at all, and which of them fit the model as well as the others.
+
+    Of those that were `chosen` (S,) to be looked at.
 
     A bad segment's neighbours within the profile's width see what it sees.
     """
@@ -306,11 +318,11 @@ def _judged(segments: Segments, model: Model) -> tuple[Mask, Mask]:
     usual = float(np.median(misfit[there]))
     spread = float(np.median(np.abs(misfit[there] - usual))) / 0.6745
     least = (_GOOD_SEGMENT * model.plateau_height) ** 2 / float(model.noise[0])
-    bad = ~there | (misfit > max(usual + _BAD_SEGMENT * spread, least))
+    bad = (chosen & ~there) | (misfit > max(usual + _BAD_SEGMENT * spread, least))
     reach = int(np.ceil(model.widths.mean))
     near = np.convolve(np.concatenate([bad[-reach:], bad, bad[:reach]]), np.ones(2 * reach + 1), "valid") > 0
-    good = ~near
-    _require_share(good)
+    good = chosen & ~near
+    _require_share(good[chosen])
     return there, good
 
 
@@ -349,7 +361,7 @@ def _result(view: _View, fit: _Fit, level: float, camera_blur: float | None, str
     if raw.outline.b < _MIN_WIDTHS * width:
         raise SpotNotFound(NoSpotReason.TOO_SMALL, f"It is {2 * raw.outline.b:.1f} px across.")
     inflation = inflation_of(straight)
-    shared = fit.fitted.shared_inflation
+    shared = fit.fitted.shared_inflation(float(fit.good.sum() / max((fit.good & fit.some).sum(), 1)))
     if kind == "ring" or camera_blur is not None:
         ambiguity = float(curvature[keep].max()) * fit.fitted.blur_sigma / 2
     else:

@@ -28,8 +28,11 @@ _LARGE = 4_000_000  # pixels: in larger images the smallest spots are looked for
 _NOISE_FACTOR = 3.0  # an edge has to be that many standard deviations of a pixel's noise
 _DARK = 0.02  # of full scale
 _MIN_CONTRAST = 0.004  # of full scale: one grey value of 8 bits
-_OVERLAP = 0.4  # of the size: ellipses whose centres are closer are one thing
+_OVERLAP = 0.4  # of the size, and of the boundary: ellipses whose centres are closer, or that share more, are one thing
+_AROUND = 48  # points
 _RIVAL = 0.3  # a second find with that share of the best one's strength makes the choice a guess
+_RIVAL_OF_PART = 0.1  # the same, where the best one is only partly seen
+_PARTIAL = 0.75  # of the boundary
 _JUDGED = 12  # the best, whose kind and contrast are measured
 
 
@@ -125,10 +128,19 @@ def _find_in(grey: Grey, box: Box, noise: float, kind: Kind | None, beam: BeamHi
         raise _explain(grey, rejected)
     if not right:
         raise SpotNotFound(NoSpotReason.WRONG_KIND, f"A {best.kind} was found at {_places([best])}, not a {kind}.")
-    rivals = [other for other in right if other is not best and other.strength > _RIVAL * best.strength]
+    rivals = [other for other in right if other is not best and _rivals(other, best)]
     if rivals:
         raise SpotNotFound(NoSpotReason.SEVERAL, f"{len(rivals) + 1} were found, at {_places([best, *rivals])}.")
     return best
+
+
+def _rivals(other: Candidate, best: Candidate) -> bool:
+    """Whether a second find makes the choice a guess: about as strong, and about as much of it is seen.
+
+    Where many edges are, parts of ellipses are everywhere. One of them is believed only if it is alone.
+    """
+    share = _RIVAL if best.support > _PARTIAL else _RIVAL_OF_PART
+    return other.strength > share * best.strength and other.support > _PARTIAL * best.support
 
 
 def _places(candidates: list[Candidate]) -> str:
@@ -196,19 +208,21 @@ def _compete(
 def _distinct(judged: Judged) -> list[int]:
     """Return the best of each heap of ellipses that lie within one another, best first.
 
-    Two that overlap are two things only if both are seen nearly whole: through what is left of one spot many ellipses
-    can be drawn.
+    Two that overlap are two things only if the lesser one is seen nearly whole, for the most part outside of the
+    other: through what is left of one spot many ellipses can be drawn.
     """
     kept: list[int] = []
     ellipses, rank = judged.traced.ellipses, judged.rank
     major, size, centre = ellipses.semi_axes[:, 0], ellipses.size, ellipses.centre
+    points, _, share = ellipses.at(_AROUND)
     for index in np.argsort(-rank, kind="stable").tolist():
         if rank[index] <= 0:
             break
-        apart = np.linalg.norm(centre[kept] - centre[index], axis=1)
-        within = apart < np.maximum(major[kept], major[index])
-        overlapping = (apart > _OVERLAP * np.maximum(size[kept], size[index])) & (judged.seen[index] > WHOLE)
-        if not np.any(within & ~overlapping):
+        near = [other for other in kept if np.hypot(*(centre[other] - centre[index])) < max(major[other], major[index])]
+        better = ellipses[np.array(near, dtype=np.intp)]
+        out = better.radius_of(np.broadcast_to(points[index], (len(near), _AROUND, 2))) > 1.05
+        apart = np.linalg.norm(better.centre - centre[index], axis=1) > _OVERLAP * np.maximum(size[near], size[index])
+        if np.all(apart & (judged.seen[index] > WHOLE) & (out @ share[index] > _OVERLAP)):
             kept.append(index)
     return kept
 

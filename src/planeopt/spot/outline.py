@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planeopt.conic import conic_from_geometric, maximum_likelihood
+from planeopt.conic import conic_from_geometric
 
 Array = NDArray[np.float64]
+
+_TURNS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,14 +150,49 @@ def from_moments(mean: Array, covariance: Array) -> Outline:
     return Outline(float(mean[0]), float(mean[1]), float(a), float(b), float(np.arctan2(vectors[1, 1], vectors[0, 1])))
 
 
-def fit(points: Array, sigma: Array) -> Outline | None:
-    """Fit an ellipse to points (N, 2) with standard deviations (N,), px; ``None`` if they do not determine one."""
+def fit(points: Array, sigma: Array, start: Outline | None = None) -> Outline | None:
+    """Fit an ellipse to points (N, 2) with standard deviations (N,), px; ``None`` if they do not determine one.
+
+    By linear least squares on the conic's equation over the length of its gradient, which is the distance to first
+    order (Sampson's), at the ellipse before: three turns bring it to the least sum of squares.
+
+    Parameters
+    ----------
+    points, sigma : arrays
+    start : Outline, optional
+        Saves the first turn, whose gradient is that of a circle.
+    """
     if len(points) < 8:  # three more than an ellipse has parameters: else there is no scatter to speak of
         return None
-    found = maximum_likelihood(points, sigma, check=False)
-    if not bool(found.ok):
+    found = start
+    for _ in range(_TURNS if start is not None else _TURNS + 1):
+        found = _reweighted(points, sigma, found)
+        if found is None:
+            return None
+    return found
+
+
+def _reweighted(points: Array, sigma: Array, before: Outline | None) -> Outline | None:
+    centre = points.mean(axis=0) if before is None else np.array([before.x, before.y])
+    unit = float(np.abs(points - centre).max())
+    x, y = ((points - centre) / max(unit, 1e-12)).T
+    slope = np.ones(len(x))
+    if before is not None:
+        p, q = before.local(points).T
+        slope = np.hypot(p / before.a**2, q / before.b**2)
+    design = np.stack([x * x, x * y, y * y, x, y], axis=1) / (slope * sigma)[:, None]
+    size = np.linalg.norm(design, axis=0)
+    normal = (design / size).T @ (design / size)
+    try:
+        A, B, C, D, E = np.linalg.solve(normal, (design / size).T @ (1 / (slope * sigma))) / size
+        matrix = np.array([[A, B / 2], [B / 2, C]])
+        middle = np.linalg.solve(matrix, [-D / 2, -E / 2])
+    except np.linalg.LinAlgError:
         return None
-    ellipse = found.ellipse
-    x, y = ellipse.centre.tolist()
-    a, b = ellipse.semi_axes.tolist()
-    return Outline(x, y, a, b, float(ellipse.angle))
+    height = 1 + float(middle @ matrix @ middle)
+    values, vectors = np.linalg.eigh(matrix / height)
+    if not (np.all(np.isfinite(values)) and values[0] > 0):
+        return None
+    a, b = unit / np.sqrt(values)
+    x, y = centre + unit * middle
+    return Outline(float(x), float(y), float(a), float(b), float(np.arctan2(vectors[1, 0], vectors[0, 0])))

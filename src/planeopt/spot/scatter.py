@@ -54,9 +54,9 @@ def scatter_about_ellipse(points: Array, sigma: Array, use: Mask) -> Scatter | N
     Scatter or None
         ``None`` if the points are not on an ellipse.
     """
-    keep = use
+    keep, outline = use, None
     for last in (False, False, True):
-        outline = fit(points[keep], sigma[keep])
+        outline = fit(points[keep], sigma[keep], outline)
         if outline is None:
             return None
         residuals = outline.distances(points) / sigma

@@ -27,10 +27,12 @@ _VOTED = 150_000  # pixels: on larger levels edges do not vote, which takes long
 _AGREE = 0.3  # of the rays
 _ALIKE = 0.1  # of the size: ellipses that differ by less are followed once
 _MAX_RATIO = 12.5  # of the semi-axes: a tilt of 85 degrees
-_MIN_SUPPORT = 0.5  # of the boundary
+_MIN_SUPPORT = 0.55  # of the boundary
+_MAX_RUNS = 3  # pieces in which it is seen
 _MIN_REST = 0.8  # of the boundary that is on the image, if some of it is not
 _MAX_BEYOND = 0.3  # of the boundary: with more light beyond it, it is not a boundary
 _MAX_OUTSIDE = 0.45  # of the boundary
+_TOUCHING = 0.05  # of the boundary: with less of it off the image it lies inside
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,9 +162,13 @@ def _verdicts(traced: Traced, misfit: Array, threshold: float) -> list[NoSpotRea
     small = (traced.ellipses.size < _MIN_SIZE) | (traced.ellipses.semi_axes[:, 1] < _MIN_MINOR)
     # Of what is cut off by the border the rest has to be seen: many ellipses fit to a corner.
     rest = traced.support < _MIN_REST * (1 - traced.outside)
-    cut = (traced.outside > _MAX_OUTSIDE) | ((traced.outside > 0.1) & rest)
-    shapeless = (traced.support < _MIN_SUPPORT) | (traced.beyond > _MAX_BEYOND)
+    cut = (traced.outside > _MAX_OUTSIDE) | ((traced.outside > _TOUCHING) & rest)
+    inside = traced.outside < _TOUCHING
+    shapeless = (traced.support < np.where(inside, _MIN_SUPPORT, 1 - _MAX_OUTSIDE - _TOUCHING)) | (
+        traced.beyond > _MAX_BEYOND
+    )
     axes = traced.ellipses.semi_axes
+    shapeless |= traced.runs > _MAX_RUNS
     shapeless |= axes[:, 0] > _MAX_RATIO * axes[:, 1]
     faint = traced.height < threshold * 0.5
     rules = (

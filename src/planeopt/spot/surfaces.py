@@ -7,29 +7,33 @@ Array = NDArray[np.float64]
 
 
 def surface(places: Array, degree: int) -> Array:
-    """Return the harmonic polynomials (M, 2 degree + 1) at places (M, 2): 1; x, y; x^2 - y^2, 2xy.
+    """Return the harmonic polynomials (2 degree + 1, M) at places (2, M): 1; x, y; x^2 - y^2, 2xy.
 
     Round a circle these are the waves 0 to `degree`, each with a slope across it that goes with it.
 
     Parameters
     ----------
-    places : (M, 2) array
+    places : (2, M) array
     degree : int
         0, 1 or 2.
     """
-    x, y = places.T
-    return np.stack([np.ones_like(x), x, y, x * x - y * y, 2 * x * y][: 2 * degree + 1], axis=1)
+    x, y = places
+    return np.stack([np.ones_like(x), x, y, x * x - y * y, 2 * x * y][: 2 * degree + 1])
 
 
 def surface_slope(places: Array, normals: Array, degree: int) -> Array:
-    """Return the derivatives (M, 2 degree + 1) of `surface` along unit vectors (M, 2)."""
-    (x, y), (m, n) = places.T, normals.T
-    return np.stack([np.zeros_like(x), m, n, 2 * (x * m - y * n), 2 * (y * m + x * n)][: 2 * degree + 1], axis=1)
+    """Return the derivatives (2 degree + 1, M) of `surface` along unit vectors (2, M)."""
+    (x, y), (m, n) = places, normals
+    return np.stack([np.zeros_like(x), m, n, 2 * (x * m - y * n), 2 * (y * m + x * n)][: 2 * degree + 1])
 
 
-def waves(theta: Array, low: int, high: int) -> Array:
-    """Return cosine and sine (M, 2 (high - low + 1)) of the multiples `low` to `high` of angles (M,); 1 for 0."""
-    columns = [np.ones_like(theta)] if low == 0 <= high else []
-    for k in range(max(low, 1), high + 1):
-        columns += [np.cos(k * theta), np.sin(k * theta)]
-    return np.stack(columns, axis=1) if columns else np.empty((len(theta), 0))
+def waves(theta: Array, highest: int) -> Array:
+    """Return 1, and cosine and sine of the multiples 1 to `highest` of angles (M,), as rows (2 highest + 1, M)."""
+    rows = np.empty((2 * highest + 1, len(theta)))
+    rows[0] = 1.0
+    turn = np.exp(1j * theta)
+    wave = np.ones_like(turn)
+    for k in range(highest):
+        wave = wave * turn
+        rows[2 * k + 1], rows[2 * k + 2] = wave.real, wave.imag
+    return rows

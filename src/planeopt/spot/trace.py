@@ -43,6 +43,8 @@ class Traced:
         Share of the boundary that is seen: of the right height, in the right place.
     beyond : (K,) array
         Share of the boundary beyond which it is as bright as inside.
+    runs : (K,) array
+        In how many pieces it is seen; one obstacle makes one, a bar two, a pattern of edges many.
     outside : (K,) array
         Share of the boundary that lies off the image.
     sharpness : (K,) array
@@ -53,6 +55,7 @@ class Traced:
     height: Array
     support: Array
     beyond: Array
+    runs: Array
     outside: Array
     sharpness: Array
 
@@ -65,6 +68,7 @@ class Traced:
             self.height[index],
             self.support[index],
             self.beyond[index],
+            self.runs[index],
             self.outside[index],
             self.sharpness[index],
         )
@@ -124,7 +128,7 @@ def _fallen(after: Traced, level: Level) -> Array:
 
 def together(parts: list[Traced]) -> Traced:
     """Return all of them in one array."""
-    names = ("height", "support", "beyond", "outside", "sharpness")
+    names = ("height", "support", "beyond", "runs", "outside", "sharpness")
     rest = {name: np.concatenate([np.empty(0), *(getattr(part, name) for part in parts)]) for name in names}
     return Traced(joined([part.ellipses for part in parts]), **rest)
 
@@ -153,6 +157,7 @@ def _follow(level: Level, ellipses: Ellipses, rounds: int) -> Traced:
         typical,
         (share * good).sum(axis=1),
         (share * (~good & seen & (beyond[..., 0] > _BRIGHT * plateau[:, None]))).sum(axis=1),
+        _runs(good | ~seen),
         (share * ~seen).sum(axis=1),
         np.ones(len(ellipses)),
     )
@@ -194,6 +199,16 @@ def _typical(height: Array, which: NDArray[np.bool_]) -> Array:
     count = which.sum(axis=1)
     middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[:, None] // 2, axis=1)[:, 0]
     return np.where(count > 0, np.maximum(middle, 1e-9), 1e-9)
+
+
+def _runs(good: NDArray[np.bool_]) -> Array:
+    """Return in how many runs (K,) the normals are good, gaps of two that noise makes left aside."""
+    wide, closed = good.copy(), np.ones_like(good)
+    for step in (1, 2):
+        wide |= np.roll(good, step, axis=1)
+    for step in (0, 1, 2):
+        closed &= np.roll(wide, -step, axis=1)
+    return (closed & ~np.roll(closed, 1, axis=1)).sum(axis=1).astype(np.float64)
 
 
 def _bend(offset: Array, good: NDArray[np.bool_]) -> Array:
