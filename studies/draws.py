@@ -1,18 +1,17 @@
 """Random rigs, planes and scenes whose spot has a wanted size and look in the image, from a seed."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from planeopt.plane import SpotPose
 from planeopt.rig import Beam, Camera, Rig, SpotDefinition
 from planeopt.simulation import BeamProfile, Noise, Optics, Scene, Surface
 from planeopt.spot.bound import boundary_sigma, size_cost
 from planeopt.spot.points import Kind
-
-Array = NDArray[np.float64]
+from studies.outline import Array, TrueBoundary, spot_in_space
 
 
 @dataclass(frozen=True)
@@ -89,15 +88,6 @@ def draw_view(view: View, rng: np.random.Generator) -> tuple[Rig, SpotPose]:
     raise RuntimeError(f"no plane with such a spot in {_TRIES} tries: {view}")
 
 
-def spot_in_space(rig: Rig, pose: SpotPose, count: int) -> Array:
-    """Return points (count, 3) of the spot's boundary, camera frame, mm, where the beam's mantle meets the plane."""
-    beam, plane = rig.require_beam(), rig.plane_from_pose(pose)
-    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
-    rim = beam.radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(count)], axis=1) @ rig.Q
-    along, start = np.array(beam.direction), np.array([*beam.offset, 0.0]) + rim
-    return start - (plane.distance_to(start) / (plane.normal @ along))[:, None] * along
-
-
 def _framed(camera: Camera, beam: Beam, pose: SpotPose, view: View, rng: np.random.Generator) -> Rig | None:
     """Place the image round the spot; None where the plane cannot be seen or the lens folds over."""
     rig = Rig(camera, beam)
@@ -129,7 +119,7 @@ class Look:
     Parameters
     ----------
     contrast : Range
-        Height of the blurred edge or ridge over the background.
+        Height of the blurred edge or ridge over the background, where it is highest.
     noise : Range
         Standard deviation of a pixel, the same everywhere.
     blur_px : Range
@@ -159,13 +149,18 @@ PIXEL_VARIANCE = 1 / 12
 
 @dataclass(frozen=True)
 class Lit:
-    """A scene with what the bound of its boundary needs, in grey levels and px: as seen after the blur."""
+    """A scene with what the bound of its boundary needs.
+
+    Attributes
+    ----------
+    scene : Scene
+    contrast, noise : float
+        Height of the blurred edge or ridge where it is highest, and a pixel's standard deviation, grey levels.
+    """
 
     scene: Scene
     contrast: float
     noise: float
-    width_px: float
-    clip: float
 
     def changed(self, **parts: object) -> "Lit":
         """Return this with parts of the scene replaced."""
@@ -174,25 +169,43 @@ class Lit:
     @property
     def known_blur(self) -> float | None:
         """The camera's own blur, px, which has to be known to measure a ring: see docs/measurement.md."""
-        return (
-            float(np.hypot(self.scene.optics.blur_px, np.sqrt(PIXEL_VARIANCE)))
-            if self.scene.beam.kind == "ring"
-            else None
-        )
+        return self._blur if self.scene.beam.kind == "ring" else None
 
     @property
-    def per_pixel(self) -> float:
-        """Least standard deviation of one pixel of boundary, px; of the noise without shot noise."""
-        noise = np.hypot(self.noise, np.sqrt(PIXEL_VARIANCE))
-        return float(boundary_sigma(_kind(self.scene), self.contrast, noise, self.width_px, clip=self.clip))
+    def _blur(self) -> float:
+        return float(np.hypot(self.scene.optics.blur_px, np.sqrt(PIXEL_VARIANCE)))
+
+    @property
+    def _clip(self) -> float:
+        return FULL_SCALE * (1 - self.scene.surface.background) / self.contrast
+
+    @cached_property
+    def truth(self) -> TrueBoundary:
+        """The true boundary; N places."""
+        return TrueBoundary.of(self.scene.rig, self.scene.pose)
+
+    @property
+    def per_pixel(self) -> Array:
+        """Least standard deviation (N,) of one pixel of boundary, px, without shot noise.
+
+        A ring's line is as wide as the perspective makes it at each place, and as high as the blur leaves it.
+        """
+        noise = float(np.hypot(self.noise, np.sqrt(PIXEL_VARIANCE)))
+        if self.scene.beam.kind == "ring":
+            line = self.scene.beam.line_mm * self.truth.stretch
+            width = np.hypot(line, self._blur)
+            share = (line / width) / np.max(line / width)
+            return boundary_sigma("ring", self.contrast * share, noise, width, clip=self._clip / share)
+        return np.full(
+            len(self.truth.pixels), boundary_sigma("disc", self.contrast, noise, self._blur, clip=self._clip)
+        )
 
     @property
     def size_cost(self) -> float:
         """By what factor the size is known worse."""
         if self.scene.beam.kind == "ring":
             return 1.0
-        radius = self.scene.rig.require_beam().radius * self.scene.rig.camera.fx / self.scene.pose.z_L
-        return size_cost(radius, self.width_px, clip=self.clip)
+        return size_cost(self.truth.length / (2 * np.pi), self._blur, clip=self._clip)
 
 
 def draw_scene(view: View, look: Look, rng: np.random.Generator) -> Lit:
@@ -201,21 +214,19 @@ def draw_scene(view: View, look: Look, rng: np.random.Generator) -> Lit:
     background, noise = look.background.draw(rng), look.noise.draw(rng)
     blur, line = look.blur_px.draw(rng), look.line_px.draw(rng)
     contrast = look.over * (FULL_SCALE - background) if look.over > 1 else look.contrast.draw(rng)
-    ring = view.kind == "ring"
-    width = float(np.sqrt(blur**2 + PIXEL_VARIANCE + (line**2 if ring else 0.0)))
-    # Blurring spreads a line's light over its new width.
-    height = contrast * (width / line if ring else 1.0) / FULL_SCALE
+    line_mm = line * pose.z_L / rig.camera.fx
+    height = contrast / FULL_SCALE
+    if view.kind == "ring":
+        # Blurring spreads the line's light over its new width; least where the line is widest.
+        widest = line_mm * float(TrueBoundary.of(rig, pose).stretch.max())
+        height *= float(np.sqrt(widest**2 + blur**2 + PIXEL_VARIANCE)) / widest
     scene = Scene.of(
         rig,
         pose,
-        beam=BeamProfile(kind=view.kind, height=height, line_mm=line * pose.z_L / rig.camera.fx),
+        beam=BeamProfile(kind=view.kind, height=height, line_mm=line_mm),
         optics=Optics(blur_px=blur),
         surface=Surface(background=background / FULL_SCALE),
         noise=Noise(full_well_electrons=look.full_well_electrons, read=noise / FULL_SCALE),
         seed=int(rng.integers(2**31)),
     )
-    return Lit(scene, contrast, noise, width, (FULL_SCALE - background) / contrast)
-
-
-def _kind(scene: Scene) -> Kind:
-    return "ring" if scene.beam.kind == "ring" else "disc"
+    return Lit(scene, contrast, noise)

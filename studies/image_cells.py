@@ -13,7 +13,7 @@ from planeopt.executors import ordered_map
 from planeopt.simulation import boundary_distances, render
 from planeopt.spot import SpotNotFound, find_spot
 from planeopt.spot.points import Kind
-from studies.boundaries import Deviation, TrueBoundary, deviation
+from studies.boundaries import Deviation, deviation
 from studies.draws import Look, Range, View, draw_scene
 from studies.study import Mode
 
@@ -144,8 +144,7 @@ def measure_image(image: Image) -> Deviation | str:
         return refusal.reason.name.lower()
     except (ArithmeticError, ValueError, RuntimeError) as broken:
         return f"broken:{type(broken).__name__}"
-    offsets, truth = boundary_distances(scene, spot.points), TrueBoundary.of(scene.rig, scene.pose)
-    return deviation(spot, offsets, truth, lit.per_pixel, lit.size_cost)
+    return deviation(spot, boundary_distances(scene, spot.points), lit)
 
 
 def summary(cell: Cell, outcomes: Sequence[Deviation | str]) -> CellRow:

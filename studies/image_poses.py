@@ -169,7 +169,7 @@ def measure_pose(job: Job) -> PoseRow:
     own = error / np.sqrt(np.diag(solution.covariance))
     over_bound = np.nan
     if job.case in _PIXELS_ALONE:
-        least = least_pose_covariance(scene.rig, scene.pose, lit.per_pixel, lit.size_cost)
+        least = least_pose_covariance(lit)
         over_bound = float(np.sqrt(error @ np.linalg.solve(least, error) / 3))
     beyond: Outcome = "degraded" if solution.status.record == "degraded" else "wrong"
     return PoseRow(
