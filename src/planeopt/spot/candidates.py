@@ -53,7 +53,7 @@ class Candidate:
     touches_border : bool
         Whether a part of it lies off the image.
     support : float
-        Share of its boundary that is seen.
+        Share of its boundary that is seen, less the share beyond which it is as bright.
     strength : float
         What it is ranked by: its size times the root of its contrast, less for what speaks against it.
     """
@@ -237,6 +237,6 @@ def _candidate(look: Look, judged: Judged, index: int, grey: Grey) -> Candidate:
         contrast=float(light[0] - light[1]),
         line_width=look.line_width,
         touches_border=bool(judged.traced.outside[index] > 0),
-        support=float(judged.traced.support[index]),
+        support=float(judged.seen[index]),
         strength=float(judged.rank[index]),
     )
