@@ -25,6 +25,7 @@ _LEAST_VARIANCE = 0.04  # px^2: a pixel alone blurs more
 _SHARE, _SHARE_SIGMA = 0.5, 0.3  # of a ring's width that is blur, where the picture does not tell: anything from 0 to 1
 _N_ELLIPSE = 2 * _ELLIPSE_WAVES + 1
 _CHANCE = 0.02  # with which a variation that is not there is taken for one
+_MEDIAN_OF_SQUARE = 0.4549  # of a standard normal variable
 _CLASSES = 12  # of height, in which the noise is looked at
 _SETTLED = 1e-4  # of the width: a smaller step changes nothing
 
@@ -287,12 +288,13 @@ def variance(model: Model, seen: Seen) -> Array:
 def noise_law(seen: Seen, residual: Array) -> Array:
     """Return the variance of a pixel's noise as a polynomial (3,) of its height over the background, none negative.
 
-    By non-negative least squares on the mean squared residual in classes of height; a class counts by how well its mean
-    is known, which is in proportion to the mean itself. Read noise, shot noise and speckle are its three terms.
+    By non-negative least squares on the median squared residual in classes of height, whatever a few segments see that
+    is not the spot; a class counts by how well its noise is known, which is in proportion to the variance itself. Read
+    noise, shot noise and speckle are its three terms.
     """
     classes = np.array_split(np.argsort(seen.height), _CLASSES)
     height = np.maximum(np.array([seen.height[members].mean() for members in classes]), 0.0)
-    mean = np.array([(residual[members] ** 2).mean() for members in classes])
+    mean = np.array([np.median(residual[members] ** 2) for members in classes]) / _MEDIAN_OF_SQUARE
     mean = np.maximum(mean, max(1e-4 * float(mean.max()), 1e-14))
     basis = np.stack([np.ones_like(height), height, height**2], axis=1)
     expected, law = mean, np.zeros(3)

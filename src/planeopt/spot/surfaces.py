@@ -31,9 +31,9 @@ def waves(theta: Array, highest: int) -> Array:
     """Return 1, and cosine and sine of the multiples 1 to `highest` of angles (M,), as rows (2 highest + 1, M)."""
     rows = np.empty((2 * highest + 1, len(theta)))
     rows[0] = 1.0
-    turn = np.exp(1j * theta)
-    wave = np.ones_like(turn)
-    for k in range(highest):
-        wave = wave * turn
-        rows[2 * k + 1], rows[2 * k + 2] = wave.real, wave.imag
+    cosine, sine = np.cos(theta), np.sin(theta)
+    c, s = np.ones_like(theta), np.zeros_like(theta)
+    for k in range(1, 2 * highest, 2):
+        c, s = c * cosine - s * sine, s * cosine + c * sine
+        rows[k], rows[k + 1] = c, s
     return rows
