@@ -125,6 +125,7 @@ class Look:
     blur_px : Range
         Standard deviation of the optics' blur; the pixel's own area comes on top of it.
     background : Range
+        As far as noise leaves room for it.
     line_px : Range
         Standard deviation of a ring's own line, as the camera sees it at the plane's distance.
     over : float
@@ -211,9 +212,14 @@ class Lit:
 def draw_scene(view: View, look: Look, rng: np.random.Generator) -> Lit:
     """Return a scene of a random rig and plane with a random look; its seed is drawn as well."""
     rig, pose = draw_view(view, rng)
-    background, noise = look.background.draw(rng), look.noise.draw(rng)
-    blur, line = look.blur_px.draw(rng), look.line_px.draw(rng)
-    contrast = look.over * (FULL_SCALE - background) if look.over > 1 else look.contrast.draw(rng)
+    noise, blur, line = look.noise.draw(rng), look.blur_px.draw(rng), look.line_px.draw(rng)
+    contrast = look.contrast.draw(rng)
+    # Three standard deviations from black and, unless it is to be over-exposed, from full scale.
+    top = FULL_SCALE - 3 * noise - (0.0 if look.over > 1 else contrast)
+    low, high = max(look.background.low, 3 * noise), min(look.background.high, top)
+    background = Range(low, high).draw(rng) if low < high else (low + high) / 2
+    if look.over > 1:
+        contrast = look.over * (FULL_SCALE - background)
     line_mm = line * pose.z_L / rig.camera.fx
     height = contrast / FULL_SCALE
     if view.kind == "ring":
