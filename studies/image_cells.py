@@ -22,7 +22,7 @@ BLURS_PX = (0.7, 1.2, 2.0)
 LIGHTS = ((20.0, 1.0), (20.0, 4.0), (80.0, 2.0), (230.0, 1.0), (230.0, 4.0))
 """Contrast and noise, grey levels."""
 
-_DRAWS = {8.0: 48, 20.0: 32, 60.0: 16, 300.0: 6}
+_DRAWS = {8.0: 32, 20.0: 20, 60.0: 16, 300.0: 6}
 """More where one image says less: what remains of the noise in a cell's mean is to be well below 0.02 px."""
 
 
