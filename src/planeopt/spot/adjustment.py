@@ -26,6 +26,7 @@ _SHARE, _SHARE_SIGMA = 0.5, 0.3  # of a ring's width that is blur, where the pic
 _N_ELLIPSE = 2 * _ELLIPSE_WAVES + 1
 _CHANCE = 0.02  # with which a variation that is not there is taken for one
 _MEDIAN_OF_SQUARE = 0.4549  # of a standard normal variable
+_LEAN_SIGMA, _MOST_LEAN = 0.3, 0.6
 _CLASSES = 12  # of height, in which the noise is looked at
 _SETTLED = 1e-4  # of the width: a smaller step changes nothing
 
@@ -40,19 +41,23 @@ class Widths:
         Of the camera, pixel included: the same all round; it moves a curved boundary.
     line : float
         Of the beam's own edge or line, at the ellipse's mean size; it moves nothing.
+    lean : (float, float)
+        By which share the beam's own scale is larger than that of a concentric ellipse, times cosine and sine of the
+        eccentric angle: perspective, which makes what is nearer wider.
     """
 
     blur: float
     line: float = 0.0
+    lean: tuple[float, float] = (0.0, 0.0)
 
     @property
     def mean(self) -> float:
         """Standard deviation of the profile, px, where the beam's own scale is the mean one."""
         return float(np.sqrt(self.blur + self.line))
 
-    def total(self, stretch: Array) -> Array:
-        """Return the standard deviation (M,), px, where the beam's own scale is `stretch` (M,) times the mean."""
-        return np.sqrt(self.blur + self.line * stretch**2)
+    def total(self, scale: Array) -> Array:
+        """Return the standard deviation (M,), px, where the beam's own scale is `scale` (M,) times the mean."""
+        return np.sqrt(self.blur + self.line * scale**2)
 
 
 @dataclass(frozen=True)
@@ -69,8 +74,8 @@ class Freedom:
         Highest multiple of the angle in which they vary besides.
     plateau_slopes, background_slopes : bool
         Whether their slopes across the boundary are free in the waves that an ellipse has.
-    blur, line : bool
-        Whether these variances are free.
+    blur, line, lean : bool
+        Whether these parameters of the widths are free.
     """
 
     waves: int
@@ -82,6 +87,7 @@ class Freedom:
     background_slopes: bool
     blur: bool
     line: bool
+    lean: bool
 
     @property
     def background_terms(self) -> int:
@@ -184,8 +190,8 @@ class Seen:
         Derivative by the boundary's place, px outwards.
     level, slope : (M,) array
         Of the profile; `slope` inwards, 1/px.
-    by_blur, by_line : (M,) array
-        Derivatives by the variances.
+    by_widths : (4, M) array
+        Derivatives by the variances of blur and line, and by the two leans.
     """
 
     value: Array
@@ -193,8 +199,7 @@ class Seen:
     position: Array
     level: Array
     slope: Array
-    by_blur: Array
-    by_line: Array
+    by_widths: Array
 
 
 def terms_of(band: Band, kind: Kind, free: Freedom, widths: Widths) -> Terms:
@@ -231,32 +236,45 @@ def _remainder(band: Band, kind: Kind, widths: Widths, stretch: Array) -> Array:
     blur, line = float(np.sqrt(widths.blur)), float(np.sqrt(widths.line))
     if is_gentle(kind, band.outline, widths.mean):
         return np.zeros(len(band.u))
-    level, _, _ = _profile(kind, band.u, band.curvature, stretch, widths)
+    level, _, _ = _profile(kind, band.u, band.curvature, stretch, stretch, widths)
     return rendered(kind, band.outline, blur, line, band.box)[band.rows, band.columns] - level
 
 
 def _profile(
-    kind: Kind, u: Array, curvature: Array, stretch: Array, widths: Widths
+    kind: Kind, u: Array, curvature: Array, stretch: Array, scale: Array, widths: Widths
 ) -> tuple[Array, Array, tuple[Array, Array]]:
-    """Return the profile (M,), its slope inwards, and its derivatives by the variances of the blur and of the line."""
-    width = widths.total(stretch)
+    """Return the profile (M,), its slope inwards, and its derivatives by the variances of the blur and of the line.
+
+    Parameters
+    ----------
+    kind, u, curvature
+    stretch : (M,) array
+        By how much more than on average a concentric ellipse's scale is stretched across the boundary.
+    scale : (M,) array
+        The same for the beam's own.
+    widths : Widths
+    """
+    width = widths.total(scale)
     moved = curved(u, curvature, 1.0)
     x = u + moved * np.clip(widths.blur, 0.0, width**2)
     level, slope = profile(kind, x, width)
     widening = slope * x / width
     if kind == "ring":
-        # The same light in a line that is wider by its own scale, and lower as it is blurred.
+        # The same light in a line that is wider by its own scale, and lower as it is blurred. Where its scale leans the
+        # plateau's waves make up for it.
         peak = stretch / width
         widening = peak * (widening - level / width)
         level, slope = peak * level, peak * slope
     widening = widening / (2 * width)
-    return level, slope, (widening - slope * moved, widening * stretch**2)
+    return level, slope, (widening - slope * moved, widening)
 
 
 def see(terms: Terms, model: Model) -> Seen:
     """Return the model in the pixels of some terms."""
     u = terms.u - model.offset @ terms.boundary
-    level, slope, (by_blur, by_line) = _profile(model.kind, u, terms.curvature, terms.stretch, model.widths)
+    turn = terms.boundary[1:3]
+    scale = terms.stretch * (1 + np.array(model.widths.lean) @ turn)
+    level, slope, (by_blur, by_line) = _profile(model.kind, u, terms.curvature, terms.stretch, scale, model.widths)
     level = level + terms.rest
     split = model.freedom.background_terms
     plateau = model.surface[split:] @ terms.top
@@ -268,8 +286,8 @@ def see(terms: Terms, model: Model) -> Seen:
         position=plateau * slope,
         level=level,
         slope=slope,
-        by_blur=plateau * by_blur,
-        by_line=plateau * by_line,
+        by_widths=plateau
+        * np.stack([by_blur, by_line * scale**2, *(by_line * (2 * model.widths.line * scale * terms.stretch) * turn)]),
     )
 
 
@@ -381,7 +399,7 @@ class Fitted:
         if not self.model.freedom.blur:
             return 0.0
         places = np.concatenate([np.arange(_N_ELLIPSE), self._shared])
-        place = -2 if self.model.freedom.line else -1
+        place = len(places) - int(self.model.freedom.line) - 2 * int(self.model.freedom.lean) - 1
         return float(np.sqrt(np.diag(np.linalg.inv(self.information[np.ix_(places, places)]))[place]))
 
 
@@ -421,15 +439,21 @@ def _normal_equations(terms: Terms, model: Model) -> tuple[Array, Array]:
     seen = see(terms, model)
     root = 1 / np.sqrt(variance(model, seen))
     rows = [seen.position * terms.boundary, _design(terms, model, seen)]
-    rows += [seen.by_blur[None]] * model.freedom.blur + [seen.by_line[None]] * model.freedom.line
+    free = model.freedom
+    rows.append(seen.by_widths[np.array([free.blur, free.line, free.lean, free.lean])])
     jacobian = np.concatenate(rows) * root
     information, right = jacobian @ jacobian.T, jacobian @ ((terms.values - seen.value) * root)
-    if model.freedom.blur and model.freedom.line:
+    if free.blur and free.line:
         total = model.widths.blur + model.widths.line
-        row = np.zeros(len(right))
-        row[-2:] = np.array([1 - _SHARE, -_SHARE]) / (_SHARE_SIGMA * total)
+        row, first = np.zeros(len(right)), len(model.offset) + len(model.surface)
+        row[first : first + 2] = np.array([1 - _SHARE, -_SHARE]) / (_SHARE_SIGMA * total)
         information += np.outer(row, row)
-        right -= row * (row[-2] * model.widths.blur + row[-1] * model.widths.line)
+        right -= row * (row[first] * model.widths.blur + row[first + 1] * model.widths.line)
+    if free.lean:
+        # Perspective is not stronger than this in any rig that sees its spot whole; without a line nothing tells.
+        ends = np.arange(len(right) - 2, len(right))
+        information[ends, ends] += 1 / _LEAN_SIGMA**2
+        right[ends] -= np.array(model.widths.lean) / _LEAN_SIGMA**2
     return information, right
 
 
@@ -441,14 +465,16 @@ def _moved(model: Model, change: Array) -> tuple[Model, float]:
     size = float(np.abs(change[:n]).sum()) / np.sqrt(total)
     # Beyond its own width a profile tells nothing about where it is.
     damping = min(1.0, 1.0 / max(size, 1e-12))
-    blur, line = widths.blur, widths.line
+    blur, line, lean = widths.blur, widths.line, widths.lean
     if model.freedom.blur:
         blur = max(blur + float(np.clip(rates.pop(0), -0.5 * total, total)), _LEAST_VARIANCE)
     if model.freedom.line:
         line = max(line + float(np.clip(rates.pop(0), -0.5 * total, total)), 0.0)
+    if model.freedom.lean:
+        lean = tuple(float(v) for v in np.clip(np.add(lean, rates), -_MOST_LEAN, _MOST_LEAN))
     moved = replace(
         model,
-        widths=Widths(blur, line),
+        widths=Widths(blur, line, (lean[0], lean[1])),
         offset=model.offset + damping * change[:n],
         surface=model.surface + change[n:m],
     )

@@ -43,10 +43,11 @@ _MOST = 20_000  # pixels that the shared parameters are fitted to
 _BAD_SEGMENT = 6.0  # robust standard deviations of the segments' misfit
 _GOOD_SEGMENT = 0.02  # of the plateau: a misfit that is good enough, however small the noise
 _MIN_SHARE = 0.35  # of the boundary: a shorter arc hardly holds an ellipse
-_MAX_SCATTER = 0.04  # of the ellipse's size: what scatters more is not one
+# Of the ellipse's size: what scatters more is not one, unless all of it is what the noise explains.
+_MAX_SCATTER, _MAX_NOISE, _UNEXPECTED = 0.04, 0.15, 2.0
 _MIN_WIDTHS = 1.5  # of the profile, in half the spot: less never reaches a plateau
 _SIGMA_FLOOR = 1e-3  # px: what is left of the model's own error
-_CLIP = 3.0  # standard deviations below full scale: from there on clipping bends the noise
+_CLIP = 1.5  # standard deviations below full scale: from there on the mean is lower by more than 3 % of one
 _MARGIN, _MARGIN_PX = 0.25, 64  # of the spot's size, and px, that are looked at round it
 _WAVE = 30.0  # px of the boundary a wave of offset, plateau or background
 _SURFACE_WAVES = 6
@@ -185,7 +186,7 @@ class _State:
     def at_start(cls, start: Start, kind: Kind, noise: float, camera_blur: float | None) -> "_State":
         total = start.width**2
         split = kind == "ring" or camera_blur is not None
-        free = Freedom(0, 0, 0, 0, 0, False, False, camera_blur is None, split)
+        free = Freedom(0, 0, 0, 0, 0, False, False, camera_blur is None, split, False)
         if camera_blur is not None:
             widths = Widths(camera_blur**2, max(total - camera_blur**2, 0.01))
         else:
@@ -246,11 +247,11 @@ def _fit(view: _View, state: _State, *, last: bool) -> _Fit:
     model = replace(state.model, freedom=free, offset=np.zeros(2 * free.waves + 1))
     terms = terms_of(band, view.kind, free, model.widths)
     some = _spread(band, good)
-    usable = _unclipped(band, band.values, model.noise[0])
+    usable = ~band.clipped & _unclipped(band.values, model.noise[0]) if band.clipped.any() else ~band.clipped
     fitted = fit_model(terms.part(usable & some[band.segment]), model, steps=steps)
     if not usable.all():
         # What is left out by what was measured is left out too often where the noise went up.
-        usable = _unclipped(band, see(terms, fitted.model).value, fitted.model.noise.sum())
+        usable = _unclipped(see(terms, fitted.model).value, fitted.model.noise.sum())
         fitted = fit_model(terms.part(usable & some[band.segment]), fitted.model, steps=steps)
     if last:
         fitted = fitted.pruned()
@@ -283,6 +284,7 @@ def _freedom(state: _State, band: Band, good: Mask) -> Freedom:
         background_slopes=slopes,
         blur=was.blur,
         line=was.line,
+        lean=was.line and slopes,
     )
 
 
@@ -296,11 +298,9 @@ def _spread(band: Band, good: Mask) -> Mask:
     return good & (np.arange(band.count) % every == 0)
 
 
-def _unclipped(band: Band, value: Array, noise: float) -> Mask:
+def _unclipped(value: Array, noise: float) -> Mask:
     """Return which pixels (M,) clipping leaves alone, where `value` (M,) is what they should be."""
-    if not band.clipped.any():
-        return np.ones(len(value), dtype=np.bool_)
-    return ~band.clipped & (value < 1.0 - _CLIP * np.sqrt(noise))
+    return value < 1.0 - _CLIP * np.sqrt(noise)
 
 
 def _judged(segments: Segments, model: Model, chosen: Mask) -> tuple[Mask, Mask]:
@@ -356,7 +356,8 @@ def _result(view: _View, fit: _Fit, level: float, camera_blur: float | None, str
         raise SpotNotFound(NoSpotReason.NOT_AN_ELLIPSE)
     keep = straight.keep
     _require_share(keep)
-    if straight.factor * float(np.median(expected[keep])) > _MAX_SCATTER * raw.outline.size:
+    scatter = straight.factor * float(np.median(expected[keep])) / raw.outline.size
+    if scatter > (_MAX_SCATTER if straight.factor > _UNEXPECTED else _MAX_NOISE):
         raise SpotNotFound(NoSpotReason.NOT_AN_ELLIPSE)
     if raw.outline.b < _MIN_WIDTHS * width:
         raise SpotNotFound(NoSpotReason.TOO_SMALL, f"It is {2 * raw.outline.b:.1f} px across.")

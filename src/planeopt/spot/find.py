@@ -172,7 +172,9 @@ def _saturation(grey: Grey, boundary: Boundary) -> float | None:
     clipped = grey.crop_clipped(box)
     if clipped is None:
         return None
-    bright = grey.crop(box) > boundary.background + boundary.height / 2
+    # The fitted height is that of the light: more than the camera shows of a clipped plateau.
+    height = min(boundary.height, 1.0 - boundary.background)
+    bright = grey.crop(box) > boundary.background + height / 2
     return float((clipped & bright).sum() / max(int(bright.sum()), 1))
 
 

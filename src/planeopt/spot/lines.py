@@ -17,6 +17,7 @@ _FINE = 56.0  # px: what is larger is looked at on a coarser level
 _ANGLES = 48
 _FURTHEST = 1.6  # times the ellipse
 _SEEN = 1.3  # times the ellipse: a direction counts that is seen so far
+_CLEAR = 1.15  # times the ellipse: from there on there are only surroundings
 _FILLED = 0.8  # of the directions
 _LEAST_HOLE = 0.35  # of the ellipse
 _SUDDEN = 0.2  # of the ellipse: within that the hole has to end in nearly all directions
@@ -62,7 +63,7 @@ def look_at(levels: list[Level], ellipse: Ellipses) -> Look:
     width = _half_width(rho, middle, max(inside, outside)) * size
     for level in (levels[index], levels[0]) if index else (levels[0],):
         for _ in range(2):
-            ring, width = _onto_line(level, ring, width + level.factor, outside)
+            ring, width = _onto_line(level, ring, width + level.factor)
     return Look(ring.outline(0), "ring", line, max(inside, outside), width)
 
 
@@ -73,8 +74,28 @@ def _profiles(level: Level, ellipse: Ellipses) -> tuple[Array, Array]:
     points, _, _ = ellipse.at(_ANGLES)
     ray = points[0] - ellipse.centre[0]
     grey, there = level.sample(ellipse.centre[0] + rho[:, None, None] * ray)
+    grey = grey - _slope(rho[:, None, None] * ray, grey, there & (rho > _CLEAR)[:, None])
     whole = there[rho < _SEEN].all(axis=0)
     return rho, grey[:, whole] if whole.sum() > _ANGLES // 4 else grey
+
+
+def _slope(offsets: Array, grey: Array, use: NDArray[np.bool_]) -> Array:
+    """Return what a plane through the surroundings adds to each place (M, N), 0 in the middle of the ellipse.
+
+    Across a large faint spot the background can change by more than the spot is bright.
+    """
+    if use.sum() < _ANGLES:
+        return np.zeros_like(grey)
+    design = np.concatenate([np.ones((*offsets.shape[:2], 1)), offsets], axis=2)
+    plane = np.zeros(3)
+    good = use
+    for _ in range(3):
+        plane = np.linalg.lstsq(design[good], grey[good], rcond=None)[0]
+        residual = np.abs(grey - design @ plane)
+        good = use & (residual <= 3.0 * np.median(residual[good]) + 1e-9)
+        if good.sum() < _ANGLES // 2:
+            break
+    return offsets @ plane[1:]
 
 
 def _shown(rho: Array, grey: Array) -> NDArray[np.bool_]:
@@ -110,13 +131,14 @@ def _half_width(rho: Array, grey: Array, base: float) -> float:
     return float(end - start)
 
 
-def _onto_line(level: Level, ellipse: Ellipses, width: float, outside: float) -> tuple[Ellipses, float]:
+def _onto_line(level: Level, ellipse: Ellipses, width: float) -> tuple[Ellipses, float]:
     """Return the ellipse moved to the middle of the line within about its width, and that width."""
     points, normals, share = ellipse.at(_ANGLES)
     reach = min(width + 1.5 * level.factor, 0.7 * float(ellipse.semi_axes[0, 1]))
     t = np.linspace(-reach, reach, 25)
     grey, there = level.sample(points[:, :, None] + t[:, None] * normals[:, :, None])
-    height = grey - max(outside, float(np.median(grey[..., 0])))
+    ends = np.stack([grey[..., :3].mean(axis=2), grey[..., -3:].mean(axis=2)])
+    height = grey - ends.max(axis=0)[..., None]
     top = height.max(axis=2)
     above = np.maximum(height - 0.5 * top[..., None], 0)
     total = above.sum(axis=2)
