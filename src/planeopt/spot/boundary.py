@@ -7,26 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from planeopt.spot.adjustment import (
-    Fitted,
-    Freedom,
-    Model,
-    Segments,
-    Terms,
-    Widths,
-    fit_model,
-    noise_law,
-    see,
-    segments_of,
-    terms_of,
-)
+from planeopt.spot.adjustment import Fitted, fit_model, noise_law
 from planeopt.spot.band import Band, band_round
 from planeopt.spot.candidates import Candidate
 from planeopt.spot.grey import Grey
+from planeopt.spot.model import Freedom, Model, Terms, Widths, see, terms_of
 from planeopt.spot.outline import Outline
 from planeopt.spot.points import Kind, NoSpotReason, SpotNotFound
 from planeopt.spot.profiles import Start, rough_boundary
 from planeopt.spot.scatter import inflation_of, scatter_about_ellipse
+from planeopt.spot.segments import Segments, segments_of
+from planeopt.spot.signs import level_dependence, response
 from planeopt.spot.surfaces import waves
 
 Array = NDArray[np.float64]
@@ -91,6 +82,12 @@ class Boundary:
         Largest curvature times `width`.
     ambiguity : float
         What the split of `width` into the beam's own softness and blur leaves open, px.
+    level_dependence : float
+        Of a disc: by how much its ellipse differs between the lower and the upper half of the edge, px, where that is
+        more than chance; else 0.
+    response : float
+        Of a disc: the power of the light, less 1, that the edge's shape takes the grey values for, where that is more
+        than chance; else 0.
     """
 
     points: Array
@@ -108,6 +105,8 @@ class Boundary:
     shared: float
     curvature: float
     ambiguity: float
+    level_dependence: float
+    response: float
 
 
 def measure_boundary(
@@ -383,4 +382,6 @@ def _result(view: _View, fit: _Fit, level: float, camera_blur: float | None, str
         shared=shared,
         curvature=float(curvature[keep].max() * width),
         ambiguity=ambiguity,
+        level_dependence=level_dependence(fit.band, fit.terms, model, fit.usable, fit.good) if kind == "disc" else 0.0,
+        response=response(fit.terms.part(fit.usable & fit.good[fit.band.segment]), model) if kind == "disc" else 0.0,
     )

@@ -14,8 +14,8 @@ from planeopt.spot.lines import Look, look_at
 from planeopt.spot.outline import Outline
 from planeopt.spot.points import Kind, NoSpotReason, Spot, SpotNotFound
 from planeopt.spot.pyramid import Level, pixel_noise, pyramid
-from planeopt.spot.search import WHOLE, Judged, search
-from planeopt.spot.trace import polished
+from planeopt.spot.search import WHOLE, Judged, search, verdicts_on
+from planeopt.spot.trace import Traced, confirmed
 
 __all__ = ["Candidate", "find_candidate", "pixel_noise"]
 
@@ -33,6 +33,7 @@ _AROUND = 48  # points
 _RIVAL = 0.3  # a second find with that share of the best one's strength makes the choice a guess
 _RIVAL_OF_PART = 0.1  # the same, where the best one is only partly seen
 _PARTIAL = 0.75  # of the boundary
+_CHANCES = 4  # rounds of confirming
 _JUDGED = 12  # the best, whose kind and contrast are measured
 
 
@@ -186,10 +187,13 @@ def _compete(
     floor, threshold = max(_MIN_CONTRAST, noise) * scale, max(_NOISE_FACTOR * noise, _MIN_CONTRAST) * scale
     judged = search(levels, which, floor, threshold, box, beam)
     traced, verdicts = judged.traced, judged.verdicts
-    candidates = []
-    for index in _distinct(judged)[:_JUDGED]:
-        ellipse = polished(levels, traced.ellipses[np.array([index])], float(traced.sharpness[index]))
-        candidates.append(_candidate(look_at(levels, ellipse), judged, index, grey))
+    candidates: list[Candidate] = []
+    # What does not hold makes room for what it had kept out.
+    for _ in range(_CHANCES):
+        candidates, failed = _confirmed(levels, judged, grey, threshold)
+        if not failed:
+            break
+        judged.rank[failed] = 0
     _log.debug(
         "%d ellipses followed, %d of them no spots (%d off the beam), %d distinct",
         len(traced),
@@ -203,6 +207,18 @@ def _compete(
     worst = max(striking)[1]
     x, y = traced.ellipses.centre[worst].tolist()
     return candidates, _Rejected(verdicts[worst], (x, y))
+
+
+def _confirmed(levels: list[Level], judged: Judged, grey: Grey, threshold: float) -> tuple[list[Candidate], list[int]]:
+    """Return the distinct finds that hold when they are looked at more closely, and the indices of those that do not."""
+    candidates, failed = [], []
+    for index in _distinct(judged)[:_JUDGED]:
+        traced = confirmed(levels, judged.traced[np.array([index])])
+        if verdicts_on(traced, np.zeros(1), threshold)[0] is None:
+            candidates.append(_candidate(look_at(levels, traced.ellipses), traced, float(judged.rank[index]), grey))
+        else:
+            failed.append(index)
+    return candidates, failed
 
 
 def _distinct(judged: Judged) -> list[int]:
@@ -227,7 +243,7 @@ def _distinct(judged: Judged) -> list[int]:
     return kept
 
 
-def _candidate(look: Look, judged: Judged, index: int, grey: Grey) -> Candidate:
+def _candidate(look: Look, traced: Traced, strength: float, grey: Grey) -> Candidate:
     light = np.maximum(np.array([look.high, look.low]) / grey.search_scale, 0)
     if grey.image.dtype.kind == "u" and grey.dark is None:
         light = light**grey.gamma
@@ -236,7 +252,7 @@ def _candidate(look: Look, judged: Judged, index: int, grey: Grey) -> Candidate:
         kind=look.kind,
         contrast=float(light[0] - light[1]),
         line_width=look.line_width,
-        touches_border=bool(judged.traced.outside[index] > 0),
-        support=float(judged.seen[index]),
-        strength=float(judged.rank[index]),
+        touches_border=bool(traced.outside[0] > 0),
+        support=float(traced.support[0] - traced.beyond[0]),
+        strength=strength,
     )

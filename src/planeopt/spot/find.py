@@ -23,6 +23,8 @@ _WHOLE = 0.9  # of the boundary
 _MANY_OUTLIERS = 0.05  # of the profiles
 _STRONG_CURVATURE = 0.3  # curvature times blur: the next term of the correction is about its square of the first
 _EXCESS = 3.0  # scatter over what the noise explains
+_LEVEL_DEPENDENT = 0.1  # px between the two halves of the edge
+_BENT = 0.1  # of the exponent: half-way to full scale 3 % off
 _AMBIGUITY = 0.05  # px
 
 
@@ -187,6 +189,8 @@ def _flags(boundary: Boundary, noise: float, saturation: float | None, ring_assu
         SpotFlag.MANY_OUTLIERS: boundary.outliers > _MANY_OUTLIERS,
         SpotFlag.STRONG_CURVATURE: boundary.curvature > _STRONG_CURVATURE,
         SpotFlag.OWN_WIDTH: boundary.ambiguity > _AMBIGUITY,
+        SpotFlag.LEVEL_DEPENDENT: boundary.level_dependence > _LEVEL_DEPENDENT,
+        SpotFlag.RESPONSE: abs(boundary.response) > _BENT,
         SpotFlag.NOT_AN_ELLIPSE: boundary.excess > _EXCESS,
     }
     return tuple(flag for flag, applies in found.items() if applies)

@@ -37,6 +37,14 @@ class SpotFlag(Enum):
     NOT_AN_ELLIPSE = (
         "The boundary departs from an ellipse by more than 3 times what the image's noise explains; sigma includes it."
     )
+    LEVEL_DEPENDENT = (
+        "The ellipse of the edge's upper half is not that of its lower half: the beam is not clean, and the boundary "
+        "is another at another level."
+    )
+    RESPONSE = (
+        "The edge is lopsided, as grey values make it that are not proportional to light: a gamma left in the image, "
+        "or a beam whose edge is not even; give gamma or linear images."
+    )
     ENCODED = (
         "The image file is JPEG, or says that its values are coded for display (gamma, sRGB, colour profile): "
         "if they are not proportional to light, the boundary lies too far out, by 0.8 of its blur at a gamma of 2.2; "

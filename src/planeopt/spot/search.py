@@ -150,14 +150,14 @@ def _judge(levels: list[Level], seeds: Seeds, threshold: float, beam: BeamHint) 
     kept = kept[unlike(ellipses[kept], share[kept], _ALIKE)]
     traced = trace(levels, ellipses[kept], found_at[kept])
     misfit = beam.misfit(traced.ellipses)
-    verdicts = _verdicts(traced, misfit, threshold)
+    verdicts = verdicts_on(traced, misfit, threshold)
     seen = np.maximum(traced.support - traced.beyond, 0)
     rank = traced.ellipses.size * np.sqrt(traced.height) * (seen * traced.sharpness) ** 2 / (1 + misfit**2)
     good = np.array([verdict is None for verdict in verdicts], dtype=bool)
     return Judged(traced, verdicts, seen, np.where(good, rank, 0))
 
 
-def _verdicts(traced: Traced, misfit: Array, threshold: float) -> list[NoSpotReason | None]:
+def verdicts_on(traced: Traced, misfit: Array, threshold: float) -> list[NoSpotReason | None]:
     """Return for each ellipse why it is no spot, or None."""
     small = (traced.ellipses.size < _MIN_SIZE) | (traced.ellipses.semi_axes[:, 1] < _MIN_MINOR)
     # Of what is cut off by the border the rest has to be seen: many ellipses fit to a corner.

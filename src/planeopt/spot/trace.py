@@ -15,7 +15,7 @@ from planeopt.spot.pyramid import Level
 
 Array = NDArray[np.floating]
 
-_NORMALS = 48
+_NORMALS, _MORE_NORMALS = 48, 131
 _WINDOW = 3.0  # px of the level: how far off an edge is looked for
 _STEP = 0.75  # px of the level
 _ROUNDS = 2
@@ -109,10 +109,16 @@ def trace(levels: list[Level], starts: Ellipses, found_at: NDArray[np.intp]) -> 
     return together(done)
 
 
-def polished(levels: list[Level], ellipse: Ellipses, sharpness: float) -> Ellipses:
-    """Return one ellipse, an array of one, drawn once more onto the edges at the level where it was judged."""
-    index = int(np.clip(np.ceil(np.log2(max(float(ellipse.size[0]) / _FINE, 1e-9))), 0, len(levels) - 1))
-    return ellipse if sharpness < _SOFT else _follow(levels[index], ellipse, _ROUNDS).ellipses
+def confirmed(levels: list[Level], traced: Traced) -> Traced:
+    """Return one ellipse, an array of one, followed and judged once more with more normals.
+
+    Their number has no divisor in common with the first: a pattern of squares that happened to have an edge at each of
+    those has none at these. A soft edge is left as it is: it was judged on a coarser level.
+    """
+    if traced.sharpness[0] < _SOFT:
+        return traced
+    index = int(_finest(traced, len(levels))[0])
+    return replace(_follow(levels[index], traced.ellipses, _ROUNDS, _MORE_NORMALS), sharpness=traced.sharpness)
 
 
 def _finest(traced: Traced, count: int) -> NDArray[np.intp]:
@@ -133,14 +139,14 @@ def together(parts: list[Traced]) -> Traced:
     return Traced(joined([part.ellipses for part in parts]), **rest)
 
 
-def _follow(level: Level, ellipses: Ellipses, rounds: int) -> Traced:
+def _follow(level: Level, ellipses: Ellipses, rounds: int, count: int = _NORMALS) -> Traced:
     """Move ellipses to the edges within a few pixels of a level, and judge them there."""
     for _ in range(rounds):
-        offset, height, seen, _, normals, share = _edges(level, ellipses)
-        points, _, _ = ellipses.at(_NORMALS)
+        offset, height, seen, _, normals, share = _edges(level, ellipses, count)
+        points, _, _ = ellipses.at(count)
         weight = share * np.minimum(height / _typical(height, seen)[:, None], 1.0) * seen
         ellipses = adjusted(ellipses, points, normals, offset * level.factor, weight, level.factor)
-    offset, height, seen, beyond, _, share = _edges(level, ellipses)
+    offset, height, seen, beyond, _, share = _edges(level, ellipses, count)
     typical = _typical(height, seen)
     size = ellipses.size / level.factor
     limit = _TOLERANCE[0] + _TOLERANCE[1] * size
@@ -149,7 +155,7 @@ def _follow(level: Level, ellipses: Ellipses, rounds: int) -> Traced:
     # What crosses the ellipse at an angle is within the limits as well, for a while, but on either side of it.
     good &= (_bend(offset, good) < _BEND * limit)[:, None]
     # The edge that counts is the one that the ellipse is drawn on, not something stronger beside it.
-    typical = np.where(good.sum(axis=1) > _NORMALS // 4, _typical(height, good), typical)
+    typical = np.where(good.sum(axis=1) > count // 4, _typical(height, good), typical)
     good &= (height > _HEIGHT[0] * typical[:, None]) & (height < _HEIGHT[1] * typical[:, None])
     plateau = _typical(beyond[..., 1], good)
     return Traced(
@@ -163,13 +169,13 @@ def _follow(level: Level, ellipses: Ellipses, rounds: int) -> Traced:
     )
 
 
-def _edges(level: Level, ellipses: Ellipses) -> tuple[Array, Array, NDArray[np.bool_], Array, Array, Array]:
+def _edges(level: Level, ellipses: Ellipses, count: int) -> tuple[Array, Array, NDArray[np.bool_], Array, Array, Array]:
     """Return where along each normal (K, N) the brightness falls most, px of the level, and by how much.
 
     Further: which normals are on the image, how much brighter than the surroundings it is at their outer end and
     where it is brightest (K, N, 2), the normals (K, N, 2) themselves and the share of the boundary of each.
     """
-    points, normals, share = ellipses.at(_NORMALS)
+    points, normals, share = ellipses.at(count)
     # Past the middle of a narrow ellipse lies its other side.
     reach = np.minimum(_WINDOW, 0.5 * ellipses.semi_axes[:, 1] / level.factor + 1)
     half = int(np.ceil((_WINDOW + 1.5) / _STEP))
@@ -188,7 +194,7 @@ def _edges(level: Level, ellipses: Ellipses) -> tuple[Array, Array, NDArray[np.b
     bend = 2 * at - before - after
     fine = np.where(bend > 0, (after - before) / (2 * np.where(bend > 0, bend, 1)), 0)
     offset = middle[best[..., 0]] + _STEP * np.clip(fine, -0.5, 0.5)
-    dark = np.sort(grey[..., -1], axis=1)[:, _NORMALS // 4]
+    dark = np.sort(grey[..., -1], axis=1)[:, count // 4]
     beyond = np.stack([grey[..., -1], grey.max(axis=2)], axis=2) - dark[:, None, None]
     return offset, np.maximum(at, 0), seen, beyond, normals, share
 

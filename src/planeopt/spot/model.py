@@ -1,0 +1,296 @@
+"""The model of a blurred edge or ridge in the pixels of the band round a spot.
+
+One blur round the spot, a plateau and a background that vary smoothly across it, and a boundary that departs from the
+ellipse by a few waves.
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planeopt.spot.band import Band
+from planeopt.spot.blurred import curved, is_gentle, profile, rendered
+from planeopt.spot.points import Kind
+from planeopt.spot.surfaces import surface, surface_slope, waves
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+ELLIPSE_WAVES = 2
+"""Of the boundary's offset: what an ellipse can do, to first order."""
+
+N_ELLIPSE = 2 * ELLIPSE_WAVES + 1
+"""Number of the coefficients of these waves."""
+
+
+@dataclass(frozen=True)
+class Widths:
+    """How wide the profile is: variances in px^2.
+
+    Parameters
+    ----------
+    blur : float
+        Of the camera, pixel included: the same all round; it moves a curved boundary.
+    line : float
+        Of the beam's own edge or line, at the ellipse's mean size; it moves nothing.
+    lean : (float, float)
+        By which share the beam's own scale is larger than that of a concentric ellipse, times cosine and sine of the
+        eccentric angle: perspective, which makes what is nearer wider.
+    """
+
+    blur: float
+    line: float = 0.0
+    lean: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def mean(self) -> float:
+        """Standard deviation of the profile, px, where the beam's own scale is the mean one."""
+        return float(np.sqrt(self.blur + self.line))
+
+    def total(self, scale: Array) -> Array:
+        """Return the standard deviation (M,), px, where the beam's own scale is `scale` (M,) times the mean."""
+        return np.sqrt(self.blur + self.line * scale**2)
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """What is free in the fit.
+
+    Parameters
+    ----------
+    waves : int
+        Of the boundary's offset from the ellipse.
+    plateau, background : int
+        Degree of the surfaces.
+    plateau_waves, background_waves : int
+        Highest multiple of the angle in which they vary besides.
+    plateau_slopes, background_slopes : bool
+        Whether their slopes across the boundary are free in the waves that an ellipse has.
+    blur, line, lean : bool
+        Whether these parameters of the widths are free.
+    """
+
+    waves: int
+    plateau: int
+    background: int
+    plateau_waves: int
+    background_waves: int
+    plateau_slopes: bool
+    background_slopes: bool
+    blur: bool
+    line: bool
+    lean: bool
+
+    @property
+    def background_terms(self) -> int:
+        """Number of the background's coefficients: level, polynomial, waves, slopes, in this order."""
+        return _count(self.background, self.background_waves, self.background_slopes)
+
+    @property
+    def groups(self) -> list[slice]:
+        """Where among the surfaces' coefficients are those that a spot may not need: slopes, then all but the level."""
+        found = []
+        for first, (degree, highest, slopes) in (
+            (0, (self.background, self.background_waves, self.background_slopes)),
+            (self.background_terms, (self.plateau, self.plateau_waves, self.plateau_slopes)),
+        ):
+            end = first + _count(degree, highest, slopes)
+            middle = end - N_ELLIPSE * slopes
+            found += [slice(middle, end)] * slopes + [slice(first + 1, middle)] * (middle > first + 1)
+        return sorted(found, key=lambda group: group.stop - group.start == N_ELLIPSE, reverse=True)
+
+
+def _count(degree: int, highest: int, slopes: bool) -> int:
+    return 1 + 2 * max(degree, highest) + N_ELLIPSE * slopes
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A fitted band.
+
+    Parameters
+    ----------
+    kind : {"disc", "ring"}
+    freedom : Freedom
+    widths : Widths
+    offset : array
+        Coefficients of the boundary's waves, px.
+    surface : array
+        Coefficients of the background, then of the plateau, shares of full scale.
+    noise : (3,) array
+        Variance of a pixel: of the background, by the height over it, by that height squared.
+    """
+
+    kind: Kind
+    freedom: Freedom
+    widths: Widths
+    offset: Array
+    surface: Array
+    noise: Array
+
+    @property
+    def plateau_height(self) -> float:
+        """Of the plateau over the background at the spot's centre (of the ridge: its mean), share of full scale."""
+        height = float(self.surface[self.freedom.background_terms])
+        # A ring's light is that of a line of unit stretch, whose peak is lower the wider it is.
+        return height / self.widths.mean if self.kind == "ring" else height
+
+
+@dataclass(frozen=True, eq=False)
+class Terms:
+    """What of the model does not change while it is fitted; M pixels.
+
+    Parameters
+    ----------
+    u, curvature, values : (M,) array
+        As in `Band`.
+    stretch : (M,) array
+        By how much more than on average the beam's own scale is stretched across the boundary.
+    boundary : (n, M) array
+        Waves of the boundary's offset.
+    ground, top, slope : (n, M) array
+        Background; plateau; the plateau's derivative across the boundary, 1/px.
+    rest : (M,) array
+        What the rendered profile has more than the analytic one.
+    """
+
+    u: Array
+    curvature: Array
+    values: Array
+    stretch: Array
+    boundary: Array
+    ground: Array
+    top: Array
+    slope: Array
+    rest: Array
+
+    def part(self, keep: Mask) -> "Terms":
+        """Return the terms of these pixels (M,) alone."""
+        return Terms(*(np.compress(keep, getattr(self, field.name), axis=-1) for field in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A model in the pixels of a band; M pixels.
+
+    Parameters
+    ----------
+    value : (M,) array
+    height : (M,) array
+        Of the value over the background.
+    position : (M,) array
+        Derivative by the boundary's place, px outwards.
+    level, slope : (M,) array
+        Of the profile; `slope` inwards, 1/px.
+    by_widths : (4, M) array
+        Derivatives by the variances of blur and line, and by the two leans.
+    """
+
+    value: Array
+    height: Array
+    position: Array
+    level: Array
+    slope: Array
+    by_widths: Array
+
+
+def terms_of(band: Band, kind: Kind, free: Freedom, widths: Widths) -> Terms:
+    """Return the terms of a band for a model of these freedoms, its profile rendered with these widths."""
+    c, s = np.cos(band.theta), np.sin(band.theta)
+    stretch = 1.0 / (np.hypot(c / band.outline.a, s / band.outline.b) * band.outline.size)
+    all_waves = waves(band.theta, max(free.waves, free.background_waves, free.plateau_waves))
+    ground, _ = _surface(band, all_waves, free.background, free.background_waves, free.background_slopes)
+    top, slope = _surface(band, all_waves, free.plateau, free.plateau_waves, free.plateau_slopes)
+    return Terms(
+        u=band.u,
+        curvature=band.curvature,
+        values=band.values,
+        stretch=stretch,
+        boundary=all_waves[: 2 * free.waves + 1],
+        ground=ground,
+        top=top,
+        slope=slope,
+        rest=_remainder(band, kind, widths, stretch),
+    )
+
+
+def _surface(band: Band, all_waves: Array, degree: int, highest: int, slopes: bool) -> tuple[Array, Array]:
+    """Return the terms (n, M) of a surface, and their derivatives (n, M) across the boundary, 1/px."""
+    size = band.outline.size
+    wavy = all_waves[2 * degree + 1 : 2 * highest + 1]
+    rising = all_waves[:N_ELLIPSE] / size if slopes else all_waves[:0]
+    value = [surface(band.places, degree), wavy, rising * band.u]
+    slope = [surface_slope(band.places, band.normals.T, degree) / size, np.zeros_like(wavy), rising]
+    return np.concatenate(value), np.concatenate(slope)
+
+
+def _remainder(band: Band, kind: Kind, widths: Widths, stretch: Array) -> Array:
+    blur, line = float(np.sqrt(widths.blur)), float(np.sqrt(widths.line))
+    if is_gentle(kind, band.outline, widths.mean):
+        return np.zeros(len(band.u))
+    level, _, _ = _profile(kind, band.u, band.curvature, stretch, stretch, widths)
+    return rendered(kind, band.outline, blur, line, band.box)[band.rows, band.columns] - level
+
+
+def _profile(
+    kind: Kind, u: Array, curvature: Array, stretch: Array, scale: Array, widths: Widths
+) -> tuple[Array, Array, tuple[Array, Array]]:
+    """Return the profile (M,), its slope inwards, and its derivatives by the variances of the blur and of the line.
+
+    Parameters
+    ----------
+    kind, u, curvature
+    stretch : (M,) array
+        By how much more than on average a concentric ellipse's scale is stretched across the boundary.
+    scale : (M,) array
+        The same for the beam's own.
+    widths : Widths
+    """
+    width = widths.total(scale)
+    moved = curved(u, curvature, 1.0)
+    x = u + moved * np.clip(widths.blur, 0.0, width**2)
+    level, slope = profile(kind, x, width)
+    widening = slope * x / width
+    if kind == "ring":
+        # The same light in a line that is wider by its own scale, and lower as it is blurred. Where its scale leans the
+        # plateau's waves make up for it.
+        peak = stretch / width
+        widening = peak * (widening - level / width)
+        level, slope = peak * level, peak * slope
+    widening = widening / (2 * width)
+    return level, slope, (widening - slope * moved, widening)
+
+
+def see(terms: Terms, model: Model) -> Seen:
+    """Return the model in the pixels of some terms."""
+    u = terms.u - model.offset @ terms.boundary
+    turn = terms.boundary[1:3]
+    scale = terms.stretch * (1 + np.array(model.widths.lean) @ turn)
+    level, slope, (by_blur, by_line) = _profile(model.kind, u, terms.curvature, terms.stretch, scale, model.widths)
+    level = level + terms.rest
+    split = model.freedom.background_terms
+    plateau = model.surface[split:] @ terms.top
+    # A plateau with a slope, blurred: the product of both, and by Stein's identity blur^2 times the product of slopes.
+    height = plateau * level - (model.surface[split:] @ terms.slope) * (model.widths.blur * slope)
+    return Seen(
+        value=model.surface[:split] @ terms.ground + height,
+        height=height,
+        position=plateau * slope,
+        level=level,
+        slope=slope,
+        by_widths=plateau
+        * np.stack([by_blur, by_line * scale**2, *(by_line * (2 * model.widths.line * scale * terms.stretch) * turn)]),
+    )
+
+
+def design(terms: Terms, model: Model, seen: Seen) -> Array:
+    """Return the derivatives (n, M) by the coefficients of background and plateau."""
+    top = terms.top * seen.level - terms.slope * (model.widths.blur * seen.slope)
+    return np.concatenate([terms.ground, top])
+
+
+def variance(model: Model, seen: Seen) -> Array:
+    """Return the variance of each pixel's noise (M,)."""
+    height = np.maximum(seen.height, 0.0)
+    return model.noise[0] + model.noise[1] * height + model.noise[2] * height**2
