@@ -15,6 +15,9 @@ LEVEL = 0.001
 """Family-wise: how rarely right code may fail any of a family's two-sided tests."""
 
 RIGHT = 0.98
+KNOWN_PX = 0.005
+"""Standard error below which a cell's bias is known."""
+
 COMPONENTS = ("z_L", "p", "q")
 
 
@@ -124,11 +127,12 @@ def honesty_of(poses: Sequence[PoseRow]) -> list[HonestyRow]:
 def headline(cells: Sequence[CellRow], cases: Sequence[CaseRow], honesty: Sequence[HonestyRow]) -> str:
     """Say it in a sentence."""
     plain = [c for c in cells if c.over == 1]
+    known = [c for c in plain if c.bias_error_px < KNOWN_PX]
     hard = [case for case in cases if case.case != "plain"]
     variances = [h.variance for h in honesty]
     return (
-        f"The boundary's mean bias is at most {max(abs(c.bias_px) for c in plain):.3f} px over sizes, blurs, contrasts "
-        f"and noises, its points' noise at most {max(c.points_over_bound for c in plain):.2f} times the Cramér-Rao "
+        f"The boundary's mean bias over sizes, blurs, contrasts and noises is at most "
+        f"{max(abs(c.bias_px) for c in known):.3f} px (in the cells of the grid that know it to {KNOWN_PX} px), its points' noise at most {max(c.points_over_bound for c in plain):.2f} times the Cramér-Rao "
         f"bound; of {sum(c.images for c in hard)} hard images {sum(c.right for c in hard)} give the right plane and "
         f"{sum(c.images - c.right - c.refused for c in hard)} a wrong one; the errors' variance over their own is "
         f"{min(variances):.2f} to {max(variances):.2f}."
@@ -140,6 +144,8 @@ def finding(
 ) -> str:
     """Say what was found; every number comes from the tables."""
     plain, over = [c for c in cells if c.over == 1], [c for c in cells if c.over > 1]
+    known = [c for c in plain if c.bias_error_px < KNOWN_PX]
+    noisy = [c for c in plain if c.bias_error_px >= KNOWN_PX]
     noise = [
         f"{what} {np.nanmedian(over_bound):.2f} times in the median cell, {np.nanmax(over_bound):.2f} in the worst"
         for what, over_bound in (
@@ -153,8 +159,10 @@ def finding(
     lines = [
         "# The boundary in an image",
         "",
-        f"**Bias.** Over {len(plain)} cells ({sum(c.images for c in plain)} images) the largest mean signed distance "
-        f"of the boundary is {_worst(plain)}; in the {len(over)} cells with twice full scale {_worst(over)}.",
+        f"**Bias.** Of {len(plain)} cells ({sum(c.images for c in plain)} images) {len(known)} know the mean signed "
+        f"distance of the boundary to {KNOWN_PX} px: it is at most {_worst(known)}. The others are noisier: there it is "
+        f"at most {_worst(noisy)}. The largest over its standard error is {_most_significant(plain)}. Over-exposed "
+        f"twice ({len(over)} cells) it is at most {_worst(over)}.",
         "",
         f"**Noise over the Cramér-Rao bound**, RMS: {'; '.join(noise)}. {sum(c.refused for c in cells)} of "
         f"{sum(c.images for c in cells)} images were refused.",
@@ -189,7 +197,19 @@ def finding(
 
 
 def _worst(cells: Sequence[CellRow]) -> str:
-    row = max(cells, key=lambda c: abs(c.bias_px) if np.isfinite(c.bias_px) else -1.0)
+    found = [c for c in cells if np.isfinite(c.bias_px)]
+    return _bias(max(found, key=lambda c: abs(c.bias_px))) if found else "unknown"
+
+
+def _most_significant(cells: Sequence[CellRow]) -> str:
+    found = [c for c in cells if c.bias_error_px > 0]
+    if not found:
+        return "unknown"
+    row = max(found, key=lambda c: abs(c.bias_px) / c.bias_error_px)
+    return f"{abs(row.bias_px) / row.bias_error_px:.1f} ({_bias(row)})"
+
+
+def _bias(row: CellRow) -> str:
     return (
         f"{row.bias_px:+.4f} +- {row.bias_error_px:.4f} px ({row.kind}, radius {row.radius_px:g} px, blur "
         f"{row.blur_px:g} px, contrast {row.contrast:g}, noise {row.noise:g})"
