@@ -132,8 +132,9 @@ def headline(cells: Sequence[CellRow], cases: Sequence[CaseRow], honesty: Sequen
     variances = [h.variance for h in honesty]
     return (
         f"The boundary's mean bias over sizes, blurs, contrasts and noises is at most "
-        f"{max(abs(c.bias_px) for c in known):.3f} px (in the cells of the grid that know it to {KNOWN_PX} px), its points' noise at most {max(c.points_over_bound for c in plain):.2f} times the Cramér-Rao "
-        f"bound; of {sum(c.images for c in hard)} hard images {sum(c.right for c in hard)} give the right plane and "
+        f"{max(abs(c.bias_px) for c in known):.3f} px (in the cells that know it to {KNOWN_PX} px), the noise "
+        f"of its points at most {max(c.points_over_bound for c in plain):.2f} times the Cramér-Rao bound; of "
+        f"{sum(c.images for c in hard)} hard images {sum(c.right for c in hard)} give the right plane and "
         f"{sum(c.images - c.right - c.refused for c in hard)} a wrong one; the errors' variance over their own is "
         f"{min(variances):.2f} to {max(variances):.2f}."
     )
@@ -160,8 +161,8 @@ def finding(
         "# The boundary in an image",
         "",
         f"**Bias.** Of {len(plain)} cells ({sum(c.images for c in plain)} images) {len(known)} know the mean signed "
-        f"distance of the boundary to {KNOWN_PX} px: it is at most {_worst(known)}. The others are noisier: there it is "
-        f"at most {_worst(noisy)}. The largest over its standard error is {_most_significant(plain)}. Over-exposed "
+        f"distance of the boundary to {KNOWN_PX} px: it is at most {_worst(known)}. In the noisier others it is at "
+        f"most {_worst(noisy)}. The largest over its standard error is {_most_significant(plain)}. Over-exposed "
         f"twice ({len(over)} cells) it is at most {_worst(over)}.",
         "",
         f"**Noise over the Cramér-Rao bound**, RMS: {'; '.join(noise)}. {sum(c.refused for c in cells)} of "
