@@ -188,12 +188,16 @@ def _compete(
     judged = search(levels, which, floor, threshold, box, beam)
     traced, verdicts = judged.traced, judged.verdicts
     candidates: list[Candidate] = []
+    clutter = 0.0
     # What does not hold makes room for what it had kept out.
     for _ in range(_CHANCES):
         candidates, failed = _confirmed(levels, judged, grey, threshold)
         if not failed:
             break
+        clutter = max(clutter, float(judged.rank[failed].max()))
         judged.rank[failed] = 0
+    # Among stronger things that turned out to be none, a part of an ellipse is one more of them.
+    candidates = [c for c in candidates if c.support > _PARTIAL or c.strength > _RIVAL * clutter]
     _log.debug(
         "%d ellipses followed, %d of them no spots (%d off the beam), %d distinct",
         len(traced),
@@ -201,16 +205,17 @@ def _compete(
         sum(verdict is NoSpotReason.OFF_BEAM for verdict in verdicts),
         len(candidates),
     )
-    striking = [(traced.height[i] * traced.ellipses.size[i], i) for i, bad in enumerate(verdicts) if bad is not None]
+    weight = traced.height * traced.ellipses.size * traced.support
+    striking = [(weight[i], i) for i, bad in enumerate(verdicts) if bad is not None]
     if not striking:
-        return candidates, _Rejected()
+        return candidates, _Rejected(NoSpotReason.NOT_AN_ELLIPSE if clutter > 0 else None)
     worst = max(striking)[1]
     x, y = traced.ellipses.centre[worst].tolist()
     return candidates, _Rejected(verdicts[worst], (x, y))
 
 
 def _confirmed(levels: list[Level], judged: Judged, grey: Grey, threshold: float) -> tuple[list[Candidate], list[int]]:
-    """Return the distinct finds that hold when they are looked at more closely, and the indices of those that do not."""
+    """Return the distinct finds that hold when looked at more closely, and the indices of those that do not."""
     candidates, failed = [], []
     for index in _distinct(judged)[:_JUDGED]:
         traced = confirmed(levels, judged.traced[np.array([index])])

@@ -29,8 +29,10 @@ _ALIKE = 0.1  # of the size: ellipses that differ by less are followed once
 _MAX_RATIO = 12.5  # of the semi-axes: a tilt of 85 degrees
 _MIN_SUPPORT = 0.55  # of the boundary
 _MAX_RUNS = 3  # pieces in which it is seen
+_SOFT = 0.5  # sharpness: what is softer and cut off has no outline to complete
 _MIN_REST = 0.8  # of the boundary that is on the image, if some of it is not
-_MAX_BEYOND = 0.3  # of the boundary: with more light beyond it, it is not a boundary
+_MAX_BEYOND = 0.3  # of the boundary, of what is not seen of it: with more light beyond it, it is not a boundary
+_MOST = 0.8  # of the boundary
 _MAX_OUTSIDE = 0.45  # of the boundary
 _TOUCHING = 0.05  # of the boundary: with less of it off the image it lies inside
 
@@ -161,12 +163,13 @@ def verdicts_on(traced: Traced, misfit: Array, threshold: float) -> list[NoSpotR
     """Return for each ellipse why it is no spot, or None."""
     small = (traced.ellipses.size < _MIN_SIZE) | (traced.ellipses.semi_axes[:, 1] < _MIN_MINOR)
     # Of what is cut off by the border the rest has to be seen: many ellipses fit to a corner.
-    rest = traced.support < _MIN_REST * (1 - traced.outside)
-    cut = (traced.outside > _MAX_OUTSIDE) | ((traced.outside > _TOUCHING) & rest)
     inside = traced.outside < _TOUCHING
-    shapeless = (traced.support < np.where(inside, _MIN_SUPPORT, 1 - _MAX_OUTSIDE - _TOUCHING)) | (
-        traced.beyond > _MAX_BEYOND
-    )
+    whole = (traced.support > _MIN_REST * (1 - traced.outside)) & (traced.sharpness > _SOFT)
+    cut = (traced.outside > _MAX_OUTSIDE) & whole
+    least = np.where(inside, _MIN_SUPPORT, 1 - _MAX_OUTSIDE - _TOUCHING)
+    shapeless = (traced.support < least) | (traced.beyond > _MAX_BEYOND) | (~inside & ~whole)
+    # What hides a part of a spot is seldom as bright as the spot; where edges are everywhere, much is.
+    shapeless |= (traced.support < _MOST) & (traced.beyond > _MAX_BEYOND * (1 - traced.support))
     axes = traced.ellipses.semi_axes
     shapeless |= traced.runs > _MAX_RUNS
     shapeless |= axes[:, 0] > _MAX_RATIO * axes[:, 1]

@@ -16,6 +16,7 @@ from planeopt.spot.pyramid import Level
 Array = NDArray[np.floating]
 
 _NORMALS, _MORE_NORMALS = 48, 131
+_GAPS = 24  # a gap of so small a part of the normals is noise
 _WINDOW = 3.0  # px of the level: how far off an edge is looked for
 _STEP = 0.75  # px of the level
 _ROUNDS = 2
@@ -208,31 +209,37 @@ def _typical(height: Array, which: NDArray[np.bool_]) -> Array:
 
 
 def _runs(good: NDArray[np.bool_]) -> Array:
-    """Return in how many runs (K,) the normals are good, gaps of two that noise makes left aside."""
+    """Return in how many runs (K,) the normals are good, small gaps that noise makes left aside."""
     wide, closed = good.copy(), np.ones_like(good)
-    for step in (1, 2):
+    gap = good.shape[1] // _GAPS
+    for step in range(1, gap + 1):
         wide |= np.roll(good, step, axis=1)
-    for step in (0, 1, 2):
+    for step in range(gap + 1):
         closed &= np.roll(wide, -step, axis=1)
     return (closed & ~np.roll(closed, 1, axis=1)).sum(axis=1).astype(np.float64)
 
 
 def _bend(offset: Array, good: NDArray[np.bool_]) -> Array:
-    """Return the RMS (K,) of the edges' places after averaging those of five normals, which leaves little noise."""
+    """Return the RMS (K,) of the edges' places, averaged over a tenth of the normals each, which leaves little noise."""
     total, count = np.zeros_like(offset), np.zeros(offset.shape)
-    for step in range(-2, 3):
+    half = offset.shape[1] // _GAPS
+    for step in range(-half, half + 1):
         total += np.roll(np.where(good, offset, 0), step, axis=1)
         count += np.roll(good, step, axis=1)
     mean = total / np.maximum(count, 1)
-    use = good & (count >= 3)
+    use = good & (count > half)
     return np.sqrt((mean**2 * use).sum(axis=1) / np.maximum(use.sum(axis=1), 1))
 
 
 def _jitter(offset: Array, height: Array, typical: Array) -> Array:
     """Return the scatter (K,) of the edges' places from one normal to the next, which no smooth shape makes."""
-    second = np.abs(np.roll(offset, 1, axis=1) - 2 * offset + np.roll(offset, -1, axis=1))
+    # Normals closer together than those of the first look share pixels, and their noise.
+    step = offset.shape[1] // _NORMALS
+    second = np.abs(np.roll(offset, step, axis=1) - 2 * offset + np.roll(offset, -step, axis=1))
     there = height > _HEIGHT[0] * typical[:, None]
-    return _typical(second, there & np.roll(there, 1, axis=1) & np.roll(there, -1, axis=1)) / (0.6745 * np.sqrt(6.0))
+    return _typical(second, there & np.roll(there, step, axis=1) & np.roll(there, -step, axis=1)) / (
+        0.6745 * np.sqrt(6.0)
+    )
 
 
 def adjusted(ellipses: Ellipses, points: Array, normals: Array, offset: Array, weight: Array, pixel: float) -> Ellipses:
