@@ -11,12 +11,13 @@ import msgspec
 import numpy as np
 
 from planeopt.executors import ordered_map
-from planeopt.simulation import Occlusion, render
+from planeopt.simulation import Occlusion, Sensor, render
 from planeopt.spot import SpotNotFound, find_spot
 from studies.draws import Lit, Look, Range, View, draw_scene
 
 _VIEW = View(Range(40.0, 120.0), image_size=(640, 480))
-_LOOK = Look(Range(100, 200), Range(1, 2), full_well_electrons=10_000.0)
+_LOOK = Look(Range(100, 200), Range(1, 2), blur_px=Range(0.7, 1.3), full_well_electrons=10_000.0)
+"""Sharp enough for the beam's own softness, which nobody knows, not to matter."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,12 @@ def _fringed(rng: np.random.Generator) -> Lit:
     return lit.changed(beam=beam)
 
 
+def _gamma(rng: np.random.Generator) -> Lit:
+    """A response that is not linear, and that nobody told of; blurred enough to be seen."""
+    look = Look(Range(140, 200), Range(1, 2), blur_px=Range(1.3, 2.0), full_well_electrons=10_000.0)
+    return draw_scene(_VIEW, look, rng).changed(sensor=Sensor(gamma=2.2))
+
+
 LEVEL = ("level_dependent", "not_an_ellipse", "many_outliers")
 
 FAULTS: dict[str, Fault] = {
@@ -113,6 +120,7 @@ FAULTS: dict[str, Fault] = {
     "over-exposed twice": Fault(_over, ("saturated",)),
     "faint": Fault(_faint, ("low_contrast",)),
     "a quarter hidden": Fault(_hidden, ("partial_arc",)),
+    "gamma 2.2": Fault(_gamma, ("response",)),
     "dirty beam": Fault(_dirty, LEVEL),
     "fringes": Fault(_fringed, LEVEL),
 }
