@@ -220,7 +220,7 @@ def _runs(good: NDArray[np.bool_]) -> Array:
 
 
 def _bend(offset: Array, good: NDArray[np.bool_]) -> Array:
-    """Return the RMS (K,) of the edges' places, averaged over a tenth of the normals each, which leaves little noise."""
+    """Return the RMS (K,) of the edges' places, averaged over a tenth of the normals, which leaves little noise."""
     total, count = np.zeros_like(offset), np.zeros(offset.shape)
     half = offset.shape[1] // _GAPS
     for step in range(-half, half + 1):
