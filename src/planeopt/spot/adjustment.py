@@ -18,8 +18,12 @@ Array = NDArray[np.float64]
 _LEAST_VARIANCE = 0.04  # px^2: a pixel alone blurs more
 _SHARE, _SHARE_SIGMA = 0.5, 0.3  # of a ring's width that is blur, where the picture does not tell: anything from 0 to 1
 _CHANCE = 0.02  # with which a variation that is not there is taken for one
-_MEDIAN_OF_SQUARE = 0.4549  # of a standard normal variable
+_MEDIAN_OF_NORMAL = 0.6745  # of a standard normal variable's size
+_MEDIAN_OF_SQUARE = _MEDIAN_OF_NORMAL**2
+_FAR = 2.5  # usual residuals, where a pixel counts half
 _LEAN_SIGMA, _MOST_LEAN = 0.3, 0.6
+_UNEVEN = 0.5  # of the plateau's height: a variation of background or plateau is hardly larger
+_START = 0.01  # of its own, by which each coefficient is held at nought
 _CLASSES = 12  # of height, in which the noise is looked at
 _SETTLED = 1e-4  # of the width: a smaller step changes nothing
 
@@ -131,7 +135,7 @@ def solve(matrix: Array, right: Array) -> Array:
     return (scale * np.linalg.solve(tamed, (scale * right.T).T).T).T
 
 
-def fit_model(terms: Terms, model: Model, *, steps: int) -> Fitted:
+def fit_model(terms: Terms, model: Model, *, steps: int, robust: bool) -> Fitted:
     """Fit a model to pixels, from a start whose `surface` does not matter.
 
     Parameters
@@ -142,13 +146,19 @@ def fit_model(terms: Terms, model: Model, *, steps: int) -> Fitted:
         Start: its widths, offset and noise.
     steps : int
         Of Gauss-Newton, at most.
+    robust : bool
+        Whether pixels count the less the further they are off (the weights of a Cauchy distribution): for a start, of
+        whose pixels some may see something else.
     """
     model = replace(model, surface=np.zeros(len(terms.ground) + len(terms.top)))
     by_surface = design(terms, model, see(terms, model))
-    model = replace(model, surface=solve(by_surface @ by_surface.T, by_surface @ terms.values))
+    square = by_surface @ by_surface.T
+    held = np.setdiff1d(np.arange(len(square)), [0, model.freedom.background_terms])
+    square[held, held] *= 1 + _START
+    model = replace(model, surface=solve(square, by_surface @ terms.values))
     information = np.eye(1)
     for step in range(steps):
-        information, right = _normal_equations(terms, model)
+        information, right = _normal_equations(terms, model, robust=robust)
         change = solve(information, right)
         model, size = _moved(model, change)
         if step > 0 and size < _SETTLED:
@@ -164,9 +174,13 @@ def whitened(terms: Terms, model: Model, seen: Seen) -> tuple[Array, Array]:
     return jacobian * root, (terms.values - seen.value) * root
 
 
-def _normal_equations(terms: Terms, model: Model) -> tuple[Array, Array]:
+def _normal_equations(terms: Terms, model: Model, *, robust: bool) -> tuple[Array, Array]:
     free = model.freedom
     jacobian, residual = whitened(terms, model, see(terms, model))
+    if robust:
+        usual = float(np.median(np.abs(residual))) / _MEDIAN_OF_NORMAL
+        weight = 1 / np.hypot(1.0, residual / max(_FAR * usual, 1e-12))
+        jacobian, residual = jacobian * weight, residual * weight
     information, right = jacobian @ jacobian.T, jacobian @ residual
     if free.blur and free.line:
         total = model.widths.blur + model.widths.line
@@ -174,6 +188,12 @@ def _normal_equations(terms: Terms, model: Model) -> tuple[Array, Array]:
         row[first : first + 2] = np.array([1 - _SHARE, -_SHARE]) / (_SHARE_SIGMA * total)
         information += np.outer(row, row)
         right -= row * (row[first] * model.widths.blur + row[first + 1] * model.widths.line)
+    # Where the boundary is hidden, nothing else keeps the surfaces from running away.
+    first = len(model.offset)
+    varying = np.concatenate([np.arange(first + group.start, first + group.stop) for group in free.groups] or [[]])
+    varying = varying.astype(np.intp)
+    information[varying, varying] += 1 / (_UNEVEN * model.scale) ** 2
+    right[varying] -= model.surface[varying - first] / (_UNEVEN * model.scale) ** 2
     if free.lean:
         # Perspective is not stronger than this in any rig that sees its spot whole; without a line nothing tells.
         ends = np.arange(len(right) - 2, len(right))

@@ -26,12 +26,14 @@ Straighten = Callable[[Array], tuple[Array, Array]]
 """Raw pixels (N, 2) to pixels without distortion (N, 2) and the local stretch (N,)."""
 
 _ROUNDS = 4
-_STEPS = 4  # of Gauss-Newton, from a start
+_STEPS = 6  # of Gauss-Newton, from a start
+_LAST_ROUNDS = 3  # as long as a segment that was fitted to turns out not to fit
 _LAST_STEPS = 2  # from the solution on some of the pixels, with all of them
 _SETTLED = 0.05  # of the width: an ellipse that moves less is the same
 _SOME = 2500  # pixels: enough for a start
 _MOST = 20_000  # pixels that the shared parameters are fitted to
-_BAD_SEGMENT = 6.0  # robust standard deviations of the segments' misfit
+_BAD_SEGMENT = 6.0  # standard deviations of the segments' misfit
+_QUANTILES = (0.05, 0.3)  # from which these are told
 _GOOD_SEGMENT = 0.02  # of the plateau: a misfit that is good enough, however small the noise
 _MIN_SHARE = 0.35  # of the boundary: a shorter arc hardly holds an ellipse
 # Of the ellipse's size: what scatters more is not one, unless all of it is what the noise explains.
@@ -181,6 +183,11 @@ class _State:
     model: Model
     good: Mask
 
+    @property
+    def is_first(self) -> bool:
+        """Whether nothing has been fitted yet."""
+        return len(self.model.surface) == 1
+
     @classmethod
     def at_start(cls, start: Start, kind: Kind, noise: float, camera_blur: float | None) -> "_State":
         total = start.width**2
@@ -191,7 +198,7 @@ class _State:
         else:
             widths = Widths(total / 2, total / 2) if kind == "ring" else Widths(total)
         law = np.array([max(noise, 1e-4) ** 2, 0.0, 0.0])
-        return cls(start.outline, Model(kind, free, widths, np.zeros(1), np.zeros(1), law), start.seen)
+        return cls(start.outline, Model(kind, free, widths, np.zeros(1), np.zeros(1), law, start.height), start.seen)
 
     def good_of(self, count: int) -> Mask:
         """Return which of so many segments are good: those at the same share of the perimeter."""
@@ -234,7 +241,6 @@ def _improved(view: _View, state: _State) -> _State:
 
 
 def _fit(view: _View, state: _State, *, last: bool) -> _Fit:
-    steps = _LAST_STEPS if last else _STEPS
     outer = 4 * state.model.widths.mean + 3
     # The plateau's slope needs a longer lever inside than the background does outside.
     inner = outer + 2 if view.kind == "disc" else outer
@@ -245,18 +251,29 @@ def _fit(view: _View, state: _State, *, last: bool) -> _Fit:
     # The waves start anew: the ellipse has taken up what it could of them.
     model = replace(state.model, freedom=free, offset=np.zeros(2 * free.waves + 1))
     terms = terms_of(band, view.kind, free, model.widths)
+    fit = _attempt(band, terms, model, good, last=last)
+    for _ in range(_LAST_ROUNDS - 1 if last else 0):
+        if not np.any(fit.some & ~fit.good):
+            break
+        fit = _attempt(band, terms, model, fit.good, last=last)
+    return fit
+
+
+def _attempt(band: Band, terms: Terms, model: Model, good: Mask, *, last: bool) -> _Fit:
+    """Fit to the good segments (S,), and judge all of them by the result."""
+    steps = _LAST_STEPS if last else _STEPS
     some = _spread(band, good)
     usable = ~band.clipped & _unclipped(band.values, model.noise[0]) if band.clipped.any() else ~band.clipped
-    fitted = fit_model(terms.part(usable & some[band.segment]), model, steps=steps)
+    fitted = fit_model(terms.part(usable & some[band.segment]), model, steps=steps, robust=not last)
     if not usable.all():
         # What is left out by what was measured is left out too often where the noise went up.
         usable = _unclipped(see(terms, fitted.model).value, fitted.model.noise.sum())
-        fitted = fit_model(terms.part(usable & some[band.segment]), fitted.model, steps=steps)
+        fitted = fit_model(terms.part(usable & some[band.segment]), fitted.model, steps=steps, robust=not last)
     if last:
         fitted = fitted.pruned()
     segments = segments_of(band, terms, fitted.model, usable)
     there, good = _judged(segments, fitted.model, band.chosen)
-    offset = fitted.model.offset @ waves(segments.theta, free.waves) + segments.offset
+    offset = fitted.model.offset @ waves(segments.theta, fitted.model.freedom.waves) + segments.offset
     feet, normals, _ = band.outline.at(segments.theta)
     return _Fit(band, fitted, terms, usable, segments, feet + normals * offset[:, None], there, good, some)
 
@@ -265,7 +282,8 @@ def _freedom(state: _State, band: Band, good: Mask) -> Freedom:
     """Return what can be told from so much of a spot of that size."""
     was, wide = state.model.freedom, band.outline.b / state.model.widths.mean
     room = int(band.outline.perimeter * good.mean() / _WAVE)
-    degree, slopes = (1, False) if wide < _NARROW else (2, True)
+    # At first as little as may be: surfaces that are free to follow what hides the boundary would.
+    degree, slopes = (1, False) if wide < _NARROW or state.is_first else (2, True)
     surface_waves = max(degree, min(room, _SURFACE_WAVES) if slopes else 0)
     plateau, plateau_waves, plateau_slopes = degree, surface_waves, slopes
     if state.model.kind == "ring":
@@ -314,10 +332,12 @@ def _judged(segments: Segments, model: Model, chosen: Mask) -> tuple[Mask, Mask]
         raise SpotNotFound(NoSpotReason.NO_BOUNDARY)
     there &= segments.variance < _MIN_INFORMATION * np.median(segments.variance[there])
     misfit = segments.misfit
-    usual = float(np.median(misfit[there]))
-    spread = float(np.median(np.abs(misfit[there] - usual))) / 0.6745
-    least = (_GOOD_SEGMENT * model.plateau_height) ** 2 / float(model.noise[0])
-    bad = (chosen & ~there) | (misfit > max(usual + _BAD_SEGMENT * spread, least))
+    # From the better ones: nearly half of all may be something else's.
+    best, usual = np.quantile(misfit[there], _QUANTILES)
+    spread = (usual - best) / float(ndtri(_QUANTILES[1]) - ndtri(_QUANTILES[0]))
+    limit = usual + (_BAD_SEGMENT - float(ndtri(_QUANTILES[1]))) * spread
+    least = (_GOOD_SEGMENT * model.scale) ** 2 / float(model.noise[0])
+    bad = (chosen & ~there) | (misfit > max(limit, least))
     reach = int(np.ceil(model.widths.mean))
     near = np.convolve(np.concatenate([bad[-reach:], bad, bad[:reach]]), np.ones(2 * reach + 1), "valid") > 0
     good = chosen & ~near
@@ -332,6 +352,25 @@ def _require_share(use: Mask) -> None:
 
 def _distance(before: Outline, after: Outline) -> float:
     return max(abs(getattr(before, name) - getattr(after, name)) for name in ("x", "y", "a", "b"))
+
+
+def _levels(fit: _Fit) -> tuple[float, float]:
+    """Return the height of the plateau (of the ridge) and the background, as they are at the good segments.
+
+    Raises
+    ------
+    SpotNotFound
+        If it is not brighter than the background.
+    """
+    terms = fit.terms.part(fit.good[fit.band.segment])
+    seen = see(terms, fit.fitted.model)
+    height = float(np.median(seen.plateau))
+    if fit.fitted.model.kind == "ring":
+        # The light of a line: its peak is lower the wider it is.
+        height /= fit.fitted.model.widths.mean
+    if height <= 0:
+        raise SpotNotFound(NoSpotReason.NO_BOUNDARY, "It is not brighter than its surroundings.")
+    return height, float(np.median(seen.value - seen.height))
 
 
 def _result(view: _View, fit: _Fit, level: float, camera_blur: float | None, straighten: Straighten | None) -> Boundary:
@@ -361,6 +400,7 @@ def _result(view: _View, fit: _Fit, level: float, camera_blur: float | None, str
     if raw.outline.b < _MIN_WIDTHS * width:
         raise SpotNotFound(NoSpotReason.TOO_SMALL, f"It is {2 * raw.outline.b:.1f} px across.")
     inflation = inflation_of(straight)
+    height, background = _levels(fit)
     shared = fit.fitted.shared_inflation(float(fit.good.sum() / max((fit.good & fit.some).sum(), 1)))
     if kind == "ring" or camera_blur is not None:
         ambiguity = float(curvature[keep].max()) * fit.fitted.blur_sigma / 2
@@ -371,8 +411,8 @@ def _result(view: _View, fit: _Fit, level: float, camera_blur: float | None, str
         sigma=expected[keep] * inflation * shared,
         rejected=points[fit.there & ~keep],
         width=width,
-        height=model.plateau_height,
-        background=float(model.surface[0]),
+        height=height,
+        background=background,
         noise=float(np.sqrt(model.noise[0])),
         outline=raw.outline,
         share=float(keep.mean()),

@@ -120,6 +120,8 @@ class Model:
         Coefficients of the background, then of the plateau, shares of full scale.
     noise : (3,) array
         Variance of a pixel: of the background, by the height over it, by that height squared.
+    scale : float
+        The plateau's height, roughly, share of full scale: what variations are large or small against.
     """
 
     kind: Kind
@@ -128,13 +130,7 @@ class Model:
     offset: Array
     surface: Array
     noise: Array
-
-    @property
-    def plateau_height(self) -> float:
-        """Of the plateau over the background at the spot's centre (of the ridge: its mean), share of full scale."""
-        height = float(self.surface[self.freedom.background_terms])
-        # A ring's light is that of a line of unit stretch, whose peak is lower the wider it is.
-        return height / self.widths.mean if self.kind == "ring" else height
+    scale: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,6 +175,8 @@ class Seen:
     value : (M,) array
     height : (M,) array
         Of the value over the background.
+    plateau : (M,) array
+        The plateau's height (of a ring: that of its light, times px), as it would be there.
     position : (M,) array
         Derivative by the boundary's place, px outwards.
     level, slope : (M,) array
@@ -189,6 +187,7 @@ class Seen:
 
     value: Array
     height: Array
+    plateau: Array
     position: Array
     level: Array
     slope: Array
@@ -276,6 +275,7 @@ def see(terms: Terms, model: Model) -> Seen:
     return Seen(
         value=model.surface[:split] @ terms.ground + height,
         height=height,
+        plateau=plateau,
         position=plateau * slope,
         level=level,
         slope=slope,

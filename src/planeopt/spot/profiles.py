@@ -31,6 +31,8 @@ class Start:
         Good to some tenths of a pixel.
     width : float
         Standard deviation of the profile, px.
+    height : float
+        Of the plateau (of the ridge) over the background, share of full scale.
     theta : (N,) array
         Eccentric angles of the normals, from 0 to 2 pi.
     seen : (N,) bool array
@@ -39,6 +41,7 @@ class Start:
 
     outline: Outline
     width: float
+    height: float
     theta: Array
     seen: Mask
 
@@ -60,7 +63,7 @@ def rough_boundary(values: NDArray[np.float32], outline: Outline, kind: Kind, li
         If no ellipse can be seen.
     """
     cross = half_level_crossings if kind == "disc" else ridge_peaks
-    width, theta, seen = 1.0, np.empty(0), np.empty(0, dtype=np.bool_)
+    width, theta, seen, heights = 1.0, np.empty(0), np.empty(0, dtype=np.bool_), np.empty(0)
     reach = max(6.0, 0.12 * outline.size, 2.0 * line_width)
     for turn in range(_ROUNDS):
         theta = outline.spaced(_NORMALS)
@@ -80,7 +83,7 @@ def rough_boundary(values: NDArray[np.float32], outline: Outline, kind: Kind, li
         heights[whole] = height
         outline, seen = _robust_ellipse(feet, normals, found, heights, last=turn == _ROUNDS - 1)
         reach = max(4 * width + 3, 5.0)
-    return Start(outline, width, theta, seen)
+    return Start(outline, width, float(np.median(heights[seen])), theta, seen)
 
 
 def _robust_ellipse(feet: Array, normals: Array, position: Array, height: Array, *, last: bool) -> tuple[Outline, Mask]:
