@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 # Curvature times width: below, what the shift leaves moves the boundary by less than 5e-4 px.
 _GENTLE = {"disc": 0.03, "ring": 0.015}
 _SOFT = 1.2  # px: blur that a third of a pixel resolves
-_SMALL = 40_000  # pixels
+_TINY, _SMALL = 5_000, 40_000  # pixels
 _THINNEST = 0.3  # px: a line that the rendered grid still resolves
 
 
@@ -87,7 +87,8 @@ def rendered(kind: Kind, outline: Outline, blur: float, line: float, box: tuple[
     x0, y0, x1, y1 = box
     # Odd, so that one of the sub-pixels lies at the pixel's centre. Their own error, 1e-3 px, averages out along a
     # long boundary.
-    factor = 5 if blur < _SOFT or (x1 - x0) * (y1 - y0) < _SMALL else 3
+    size = (x1 - x0) * (y1 - y0)
+    factor = 9 if size < _TINY else 5 if blur < _SOFT or size < _SMALL else 3
     margin = int(np.ceil(4 * blur)) + 1
     step, offset = 1.0 / factor, (factor - 1) / 2
     x = x0 - margin + (np.arange((x1 - x0 + 2 * margin) * factor) - offset) * step - outline.x

@@ -39,7 +39,8 @@ _MIN_SHARE = 0.35  # of the boundary: a shorter arc hardly holds an ellipse
 # Of the ellipse's size: what scatters more is not one, unless all of it is what the noise explains.
 _MAX_SCATTER, _MAX_NOISE, _UNEXPECTED = 0.04, 0.15, 2.0
 _MIN_WIDTHS = 1.5  # of the profile, in half the spot: less never reaches a plateau
-_SIGMA_FLOOR = 1e-3  # px: what is left of the model's own error
+_SIGMA_FLOOR = 1e-3  # px: finer than that no segment is placed
+_OWN_ERROR = {"disc": 1.5e-4, "ring": 4e-4}  # px: of the model, on noiseless images; common to all points
 _CLIP = 1.5  # standard deviations below full scale: from there on the mean is lower by more than 3 % of one
 _MARGIN, _MARGIN_PX = 0.25, 64  # of the spot's size, and px, that are looked at round it
 _WAVE = 30.0  # px of the boundary a wave of offset, plateau or background
@@ -301,7 +302,7 @@ def _freedom(state: _State, band: Band, good: Mask) -> Freedom:
         background_slopes=slopes,
         blur=was.blur,
         line=was.line,
-        lean=was.line and slopes,
+        lean=was.line and not state.is_first,
     )
 
 
@@ -354,6 +355,21 @@ def _distance(before: Outline, after: Outline) -> float:
     return max(abs(getattr(before, name) - getattr(after, name)) for name in ("x", "y", "a", "b"))
 
 
+def _skew(fit: _Fit) -> Array:
+    """Return by how much (S,) the symmetric profile is fitted outside the ridge of a line that leans, px.
+
+    Where the beam's scale ``h`` leans by ``L``, its line is wider outside than inside: ``u = h (t + L t^2 / 2)`` for
+    ``t`` of the beam's radius. To first order that adds ``L u^3 / 2 h l^2`` times the line, of variance ``l^2``, to it;
+    blurred, and projected on the derivative of the profile of variance ``w^2`` by its place, this is a shift by
+    ``(3 l^2 - 3/2 l^4 / w^2) L / 2h``.
+    """
+    widths, outline, theta = fit.fitted.model.widths, fit.band.outline, fit.segments.theta
+    stretch = 1 / (np.hypot(np.cos(theta) / outline.a, np.sin(theta) / outline.b) * outline.size)
+    lean = np.array(widths.lean) @ waves(theta, 1)[1:]
+    line = widths.line * (stretch * (1 + lean)) ** 2
+    return (3 * line - 1.5 * line**2 / (widths.blur + line)) * lean / (2 * outline.size * stretch)
+
+
 def _levels(fit: _Fit) -> tuple[float, float]:
     """Return the height of the plateau (of the ridge) and the background, as they are at the good segments.
 
@@ -379,7 +395,9 @@ def _result(view: _View, fit: _Fit, level: float, camera_blur: float | None, str
     width = model.widths.mean
     _, normals, curvature = fit.band.outline.at(segments.theta)
     points = fit.points + view.origin
-    if kind == "disc" and level != 0.5:
+    if kind == "ring":
+        points = points - normals * _skew(fit)[:, None]
+    elif level != 0.5:
         # An iso-level of the edge's own error function.
         points = points + normals * (width * ndtri(1 - level))
     expected = np.maximum(np.sqrt(np.where(fit.good, segments.variance, 1.0)), _SIGMA_FLOOR)
@@ -408,7 +426,7 @@ def _result(view: _View, fit: _Fit, level: float, camera_blur: float | None, str
         ambiguity = float(curvature[keep].max()) * width**2 / 2
     return Boundary(
         points=points[keep],
-        sigma=expected[keep] * inflation * shared,
+        sigma=np.hypot(expected[keep] * inflation * shared, _OWN_ERROR[kind] * np.sqrt(keep.sum())),
         rejected=points[fit.there & ~keep],
         width=width,
         height=height,
