@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -78,6 +79,14 @@ class Band:
             self.count,
             self.chosen,
         )
+
+    def widened(self, mask: Mask, reach: int) -> Mask:
+        """Return which pixels (M,) lie within `reach` px, along rows and columns, of those of a mask (M,)."""
+        x0, y0, x1, y1 = self.box
+        picture = np.zeros((y1 - y0, x1 - x0), dtype=np.uint8)
+        picture[self.rows[mask], self.columns[mask]] = 1
+        wide = cv2.dilate(picture, np.ones((2 * reach + 1, 2 * reach + 1), dtype=np.uint8))
+        return np.asarray(wide)[self.rows, self.columns] > 0
 
     @property
     def places(self) -> Array:

@@ -11,7 +11,7 @@ from planeopt.spot.adjustment import Fitted, fit_model, noise_law
 from planeopt.spot.band import Band, band_round
 from planeopt.spot.candidates import Candidate
 from planeopt.spot.grey import Grey
-from planeopt.spot.model import Freedom, Model, Terms, Widths, see, terms_of
+from planeopt.spot.model import Freedom, Model, Seen, Terms, Widths, see, terms_of, variance
 from planeopt.spot.outline import Outline
 from planeopt.spot.points import Kind, NoSpotReason, SpotNotFound
 from planeopt.spot.profiles import Start, rough_boundary
@@ -32,6 +32,10 @@ _LAST_STEPS = 2  # from the solution on some of the pixels, with all of them
 _SETTLED = 0.05  # of the width: an ellipse that moves less is the same
 _SOME = 2500  # pixels: enough for a start
 _MOST = 20_000  # pixels that the shared parameters are fitted to
+_FOREIGN, _NEIGHBOURS = 6.0, 2  # usual residuals, and px round it, from which a pixel is no plateau or background
+_AWAY = 2.5  # widths from the edge, where there is nothing but these
+_MEDIAN_OF_NORMAL = 0.6745  # of a standard normal variable's size
+_WHOLE = 0.85  # of the segments: where fewer are good something hides the others
 _BAD_SEGMENT = 6.0  # standard deviations of the segments' misfit
 _QUANTILES = (0.05, 0.3)  # from which these are told
 _GOOD_SEGMENT = 0.02  # of the plateau: a misfit that is good enough, however small the noise
@@ -265,11 +269,14 @@ def _attempt(band: Band, terms: Terms, model: Model, good: Mask, *, last: bool) 
     steps = _LAST_STEPS if last else _STEPS
     some = _spread(band, good)
     usable = ~band.clipped & _unclipped(band.values, model.noise[0]) if band.clipped.any() else ~band.clipped
-    fitted = fit_model(terms.part(usable & some[band.segment]), model, steps=steps, robust=not last)
-    if not usable.all():
-        # What is left out by what was measured is left out too often where the noise went up.
-        usable = _unclipped(see(terms, fitted.model).value, fitted.model.noise.sum())
-        fitted = fit_model(terms.part(usable & some[band.segment]), fitted.model, steps=steps, robust=not last)
+    robust = not last or good.mean() < _WHOLE
+    fitted = fit_model(terms.part(usable & some[band.segment]), model, steps=steps, robust=robust)
+    value = see(terms, fitted.model)
+    # What is left out by what was measured is left out too often where the noise went up.
+    alone = _unclipped(value.value, fitted.model.noise.sum()) & ~_foreign(band, terms, fitted.model, value)
+    if np.any(alone != usable):
+        usable = alone
+        fitted = fit_model(terms.part(usable & some[band.segment]), fitted.model, steps=steps, robust=robust)
     if last:
         fitted = fitted.pruned()
     segments = segments_of(band, terms, fitted.model, usable)
@@ -283,8 +290,9 @@ def _freedom(state: _State, band: Band, good: Mask) -> Freedom:
     """Return what can be told from so much of a spot of that size."""
     was, wide = state.model.freedom, band.outline.b / state.model.widths.mean
     room = int(band.outline.perimeter * good.mean() / _WAVE)
-    # At first as little as may be: surfaces that are free to follow what hides the boundary would.
-    degree, slopes = (1, False) if wide < _NARROW or state.is_first else (2, True)
+    # At first, and where a part is hidden, as little as may be: surfaces that are free to follow what hides it would.
+    little = wide < _NARROW or state.is_first or good.mean() < _WHOLE
+    degree, slopes = (1, False) if little else (2, True)
     surface_waves = max(degree, min(room, _SURFACE_WAVES) if slopes else 0)
     plateau, plateau_waves, plateau_slopes = degree, surface_waves, slopes
     if state.model.kind == "ring":
@@ -319,6 +327,19 @@ def _spread(band: Band, good: Mask) -> Mask:
 def _unclipped(value: Array, noise: float) -> Mask:
     """Return which pixels (M,) clipping leaves alone, where `value` (M,) is what they should be."""
     return value < 1.0 - _CLIP * np.sqrt(noise)
+
+
+def _foreign(band: Band, terms: Terms, model: Model, seen: Seen) -> Mask:
+    """Return which pixels (M,) away from the edge see something else than plateau or background: an obstacle, a lamp.
+
+    Those that are off by more than so many usual residuals, and their neighbours. A segment of which they are left out
+    still says where its edge is.
+    """
+    away = np.abs(terms.u - model.offset @ terms.boundary) > _AWAY * model.widths.mean
+    off = np.abs(terms.values - seen.value) / np.sqrt(variance(model, seen))
+    usual = float(np.median(off)) / _MEDIAN_OF_NORMAL
+    far = away & (off > _FOREIGN * usual) & (np.abs(terms.values - seen.value) > _GOOD_SEGMENT * model.scale)
+    return away & band.widened(far, _NEIGHBOURS) if far.any() else far
 
 
 def _judged(segments: Segments, model: Model, chosen: Mask) -> tuple[Mask, Mask]:

@@ -69,7 +69,7 @@ def rough_boundary(values: NDArray[np.float32], outline: Outline, kind: Kind, li
         theta = outline.spaced(_NORMALS)
         feet, normals, _ = outline.at(theta)
         # Beyond the middle of a narrow spot lies the opposite edge.
-        inner = min(reach, 0.8 * outline.b)
+        inner = min(reach if turn == 0 else 3 * width + 2, 0.8 * outline.b)
         t = np.arange(-np.ceil(inner / _STEP), np.ceil(reach / _STEP) + 1) * _STEP
         places = feet[:, None] + normals[:, None] * t[:, None]
         size = np.array(values.shape[::-1])
