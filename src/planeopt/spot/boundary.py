@@ -88,7 +88,8 @@ class Boundary:
     curvature : float
         Largest curvature times `width`.
     ambiguity : float
-        What the split of `width` into the beam's own softness and blur leaves open, px.
+        What the split of `width` into the beam's own softness and blur leaves open, px: two standard deviations of
+        a ring's, all of a disc's.
     level_dependence : float
         Of a disc: by how much its ellipse differs between the lower and the upper half of the edge, px, where that is
         more than chance; else 0.
@@ -442,7 +443,7 @@ def _result(view: _View, fit: _Fit, level: float, camera_blur: float | None, str
     height, background = _levels(fit)
     shared = fit.fitted.shared_inflation(float(fit.good.sum() / max((fit.good & fit.some).sum(), 1)))
     if kind == "ring" or camera_blur is not None:
-        ambiguity = float(curvature[keep].max()) * fit.fitted.blur_sigma / 2
+        ambiguity = float(curvature[keep].max()) * fit.fitted.blur_sigma
     else:
         ambiguity = float(curvature[keep].max()) * width**2 / 2
     return Boundary(

@@ -13,6 +13,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _CHANCE = 1e-6  # of a sign where there is none
+_SHARP = 0.7  # px: a profile narrower than that is not a blurred edge's
 _MOST = 6000  # pixels that are looked at
 
 
@@ -60,7 +61,7 @@ def level_dependence(band: Band, terms: Terms, model: Model, usable: Mask, good:
 def response(terms: Terms, model: Model) -> float:
     """Return the exponent, less 1, of the light to which the edge's shape takes the grey values; 0 if by chance.
 
-    To first order: ``v^(1+g) = v + g v ln v``. One more column in the fit, whose coefficient is estimated with all
+    Of an edge so sharp that a pixel's square shows it says nothing: 0. To first order: ``v^(1+g) = v + g v ln v``. One more column in the fit, whose coefficient is estimated with all
     other parameters free.
 
     Parameters
@@ -69,6 +70,8 @@ def response(terms: Terms, model: Model) -> float:
         Of the pixels that count.
     model : Model
     """
+    if model.widths.mean < _SHARP:
+        return 0.0
     every = max(1, len(terms.u) // _MOST)
     terms = terms.part(np.arange(len(terms.u)) % every == 0)
     seen = see(terms, model)
