@@ -25,7 +25,8 @@ _LEAN_SIGMA, _MOST_LEAN = 0.3, 0.6
 _UNEVEN = 0.5  # of the plateau's height: a variation of background or plateau is hardly larger
 _START = 0.01  # of its own, by which each coefficient is held at nought
 _CLASSES = 12  # of height, in which the noise is looked at
-_SETTLED = 1e-4  # of the width: a smaller step changes nothing
+# Of the width: what a smaller step moves, the segments find by themselves; a start need not be that good.
+_SETTLED, _NEARLY = 3e-4, 3e-3
 
 
 def noise_law(seen: Seen, residual: Array) -> Array:
@@ -152,16 +153,16 @@ def fit_model(terms: Terms, model: Model, *, steps: int, robust: bool) -> Fitted
     """
     model = replace(model, surface=np.zeros(len(terms.ground) + len(terms.top)))
     by_surface = design(terms, model, see(terms, model))
-    square = by_surface @ by_surface.T
+    square = (by_surface @ by_surface.T).astype(np.float64)
     held = np.setdiff1d(np.arange(len(square)), [0, model.freedom.background_terms])
     square[held, held] *= 1 + _START
-    model = replace(model, surface=solve(square, by_surface @ terms.values))
+    model = replace(model, surface=solve(square, by_surface @ terms.values.astype(by_surface.dtype)))
     information = np.eye(1)
     for step in range(steps):
         information, right = _normal_equations(terms, model, robust=robust)
         change = solve(information, right)
         model, size = _moved(model, change)
-        if step > 0 and size < _SETTLED:
+        if step > 0 and size < (_NEARLY if robust else _SETTLED):
             break
     return Fitted(model, information)
 
@@ -169,9 +170,11 @@ def fit_model(terms: Terms, model: Model, *, steps: int, robust: bool) -> Fitted
 def whitened(terms: Terms, model: Model, seen: Seen) -> tuple[Array, Array]:
     """Return the derivatives (n, M) of the pixels by all free parameters, and the residuals (M,), over their noise."""
     free, root = model.freedom, 1 / np.sqrt(variance(model, seen))
-    by_widths = seen.by_widths[np.array([free.blur, free.line, free.lean, free.lean])]
-    jacobian = np.concatenate([seen.position * terms.boundary, design(terms, model, seen), by_widths])
-    return jacobian * root, (terms.values - seen.value) * root
+    kind = terms.ground.dtype
+    by_widths = seen.by_widths[np.array([free.blur, free.line, free.lean, free.lean])].astype(kind)
+    jacobian = np.concatenate([seen.position.astype(kind) * terms.boundary, design(terms, model, seen), by_widths])
+    jacobian *= root.astype(kind)
+    return jacobian, (terms.values - seen.value) * root
 
 
 def _normal_equations(terms: Terms, model: Model, *, robust: bool) -> tuple[Array, Array]:
@@ -180,8 +183,9 @@ def _normal_equations(terms: Terms, model: Model, *, robust: bool) -> tuple[Arra
     if robust:
         usual = float(np.median(np.abs(residual))) / _MEDIAN_OF_NORMAL
         weight = 1 / np.hypot(1.0, residual / max(_FAR * usual, 1e-12))
-        jacobian, residual = jacobian * weight, residual * weight
-    information, right = jacobian @ jacobian.T, jacobian @ residual
+        jacobian, residual = jacobian * weight.astype(jacobian.dtype), residual * weight
+    information = (jacobian @ jacobian.T).astype(np.float64)
+    right = (jacobian @ residual.astype(jacobian.dtype)).astype(np.float64)
     if free.blur and free.line:
         total = model.widths.blur + model.widths.line
         row, first = np.zeros(len(right)), len(model.offset) + len(model.surface)

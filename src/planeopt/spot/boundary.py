@@ -28,7 +28,7 @@ Straighten = Callable[[Array], tuple[Array, Array]]
 _ROUNDS = 4
 _STEPS = 6  # of Gauss-Newton, from a start
 _LAST_ROUNDS = 3  # as long as a segment that was fitted to turns out not to fit
-_LAST_STEPS = 2  # from the solution on some of the pixels, with all of them
+_LAST_STEPS = 3  # from the solution on some of the pixels, with all of them
 _SETTLED = 0.05  # of the width: an ellipse that moves less is the same
 _SOME = 2500  # pixels: enough for a start
 _MOST = 20_000  # pixels that the shared parameters are fitted to
@@ -230,7 +230,7 @@ def _improved(view: _View, state: _State) -> _State:
     """Fit to some of the pixels, and return the ellipse of all the segments."""
     fit = _fit(view, state, last=False)
     sigma = np.sqrt(np.where(np.isfinite(fit.segments.variance), fit.segments.variance, 1.0))
-    found = scatter_about_ellipse(fit.points, np.maximum(sigma, _SIGMA_FLOOR), fit.good)
+    found = scatter_about_ellipse(fit.points, np.maximum(sigma, _SIGMA_FLOOR), fit.good, fit.band.outline)
     if found is None:
         raise SpotNotFound(NoSpotReason.NOT_AN_ELLIPSE)
     # The law of the noise is that of the good segments: what is not the spot's is no noise.
@@ -256,7 +256,7 @@ def _fit(view: _View, state: _State, *, last: bool) -> _Fit:
     free = _freedom(state, band, good)
     # The waves start anew: the ellipse has taken up what it could of them.
     model = replace(state.model, freedom=free, offset=np.zeros(2 * free.waves + 1))
-    terms = terms_of(band, view.kind, free, model.widths)
+    terms = terms_of(band, view.kind, free, model.widths).single()
     fit = _attempt(band, terms, model, good, last=last)
     for _ in range(_LAST_ROUNDS - 1 if last else 0):
         if not np.any(fit.some & ~fit.good):
@@ -423,7 +423,7 @@ def _result(view: _View, fit: _Fit, level: float, camera_blur: float | None, str
         # An iso-level of the edge's own error function.
         points = points + normals * (width * ndtri(1 - level))
     expected = np.maximum(np.sqrt(np.where(fit.good, segments.variance, 1.0)), _SIGMA_FLOOR)
-    raw = scatter_about_ellipse(points, expected, fit.good)
+    raw = scatter_about_ellipse(points, expected, fit.good, fit.band.outline.moved(view.origin))
     straight = raw
     if straighten is not None:
         flat, stretch = straighten(

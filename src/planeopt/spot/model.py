@@ -4,7 +4,7 @@ One blur round the spot, a plateau and a background that vary smoothly across it
 ellipse by a few waves.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,6 +165,11 @@ class Terms:
         """Return the terms of these pixels (M,) alone."""
         return Terms(*(np.compress(keep, getattr(self, field.name), axis=-1) for field in fields(self)))
 
+    def single(self) -> "Terms":
+        """Return the terms with their matrices in single precision: twice as fast, and far finer than the noise."""
+        matrices = {name: getattr(self, name).astype(np.float32) for name in ("boundary", "ground", "top", "slope")}
+        return replace(self, **matrices)
+
 
 @dataclass(frozen=True, eq=False)
 class Seen:
@@ -263,17 +268,19 @@ def _profile(
 
 def see(terms: Terms, model: Model) -> Seen:
     """Return the model in the pixels of some terms."""
-    u = terms.u - model.offset @ terms.boundary
+    kind = terms.ground.dtype
+    u = terms.u - model.offset.astype(kind) @ terms.boundary
     turn = terms.boundary[1:3]
-    scale = terms.stretch * (1 + np.array(model.widths.lean) @ turn)
+    scale = terms.stretch * (1 + np.array(model.widths.lean, dtype=kind) @ turn)
     level, slope, (by_blur, by_line) = _profile(model.kind, u, terms.curvature, terms.stretch, scale, model.widths)
     level = level + terms.rest
     split = model.freedom.background_terms
-    plateau = model.surface[split:] @ terms.top
+    ground, top = model.surface[:split].astype(kind), model.surface[split:].astype(kind)
+    plateau = top @ terms.top
     # A plateau with a slope, blurred: the product of both, and by Stein's identity blur^2 times the product of slopes.
-    height = plateau * level - (model.surface[split:] @ terms.slope) * (model.widths.blur * slope)
+    height = plateau * level - (top @ terms.slope) * (model.widths.blur * slope)
     return Seen(
-        value=model.surface[:split] @ terms.ground + height,
+        value=ground @ terms.ground + height,
         height=height,
         plateau=plateau,
         position=plateau * slope,
@@ -286,7 +293,8 @@ def see(terms: Terms, model: Model) -> Seen:
 
 def design(terms: Terms, model: Model, seen: Seen) -> Array:
     """Return the derivatives (n, M) by the coefficients of background and plateau."""
-    top = terms.top * seen.level - terms.slope * (model.widths.blur * seen.slope)
+    kind = terms.top.dtype
+    top = terms.top * seen.level.astype(kind) - terms.slope * (model.widths.blur * seen.slope).astype(kind)
     return np.concatenate([terms.ground, top])
 
 

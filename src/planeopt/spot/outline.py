@@ -12,8 +12,6 @@ from planeopt.conic import conic_from_geometric
 
 Array = NDArray[np.float64]
 
-_TURNS = 3
-
 
 @dataclass(frozen=True, slots=True)
 class Outline:
@@ -150,7 +148,7 @@ def from_moments(mean: Array, covariance: Array) -> Outline:
     return Outline(float(mean[0]), float(mean[1]), float(a), float(b), float(np.arctan2(vectors[1, 1], vectors[0, 1])))
 
 
-def fit(points: Array, sigma: Array, start: Outline | None = None) -> Outline | None:
+def fit(points: Array, sigma: Array, start: Outline | None = None, turns: int = 3) -> Outline | None:
     """Fit an ellipse to points (N, 2) with standard deviations (N,), px; ``None`` if they do not determine one.
 
     By linear least squares on the conic's equation over the length of its gradient, which is the distance to first
@@ -161,11 +159,13 @@ def fit(points: Array, sigma: Array, start: Outline | None = None) -> Outline | 
     points, sigma : arrays
     start : Outline, optional
         Saves the first turn, whose gradient is that of a circle.
+    turns : int
+        After the first.
     """
     if len(points) < 8:  # three more than an ellipse has parameters: else there is no scatter to speak of
         return None
     found = start
-    for _ in range(_TURNS if start is not None else _TURNS + 1):
+    for _ in range(turns if start is not None else turns + 1):
         found = _reweighted(points, sigma, found)
         if found is None:
             return None

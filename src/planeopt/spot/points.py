@@ -21,7 +21,8 @@ class SpotFlag(Enum):
 
     RING_ASSUMED = "Neither the rig nor the caller said so: that the spot is a ring was told from the image."
     SATURATED = (
-        "The spot is over-exposed: its plateau is clipped, which moves the boundary outwards; lower the exposure."
+        "The spot is over-exposed: its plateau is clipped, and its boundary is told from the rest of the edge, which "
+        "says less; lower the exposure."
     )
     LOW_CONTRAST = "The spot is faint: its edge is less than 10 times the noise of a pixel."
     PARTIAL_ARC = "Less than 90 % of the boundary could be measured."

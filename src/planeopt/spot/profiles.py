@@ -103,7 +103,7 @@ def _robust_ellipse(feet: Array, normals: Array, position: Array, height: Array,
     off = off - np.median(off)
     for _ in range(4):
         scale = max(float(np.median(np.abs(off))), 0.1)
-        current = fit(points, np.hypot(1.0, off / scale), current)
+        current = fit(points, np.hypot(1.0, off / scale), current, turns=1)
         if current is None:
             raise SpotNotFound(NoSpotReason.NOT_AN_ELLIPSE)
         off = current.distances(points)

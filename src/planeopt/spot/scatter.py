@@ -37,7 +37,7 @@ class Scatter:
     factor: float
 
 
-def scatter_about_ellipse(points: Array, sigma: Array, use: Mask) -> Scatter | None:
+def scatter_about_ellipse(points: Array, sigma: Array, use: Mask, start: Outline | None = None) -> Scatter | None:
     """Fit an ellipse, leave out what is more than 4 robust standard deviations and 0.02 px off, twice.
 
     Parameters
@@ -48,15 +48,17 @@ def scatter_about_ellipse(points: Array, sigma: Array, use: Mask) -> Scatter | N
         Expected standard deviation, px.
     use : (N,) bool array
         Points that are considered at all.
+    start : Outline, optional
+        An ellipse near them.
 
     Returns
     -------
     Scatter or None
         ``None`` if the points are not on an ellipse.
     """
-    keep, outline = use, None
+    keep, outline = use, start
     for last in (False, False, True):
-        outline = fit(points[keep], sigma[keep], outline)
+        outline = fit(points[keep], sigma[keep], outline, turns=2)
         if outline is None:
             return None
         residuals = outline.distances(points) / sigma

@@ -61,8 +61,8 @@ def level_dependence(band: Band, terms: Terms, model: Model, usable: Mask, good:
 def response(terms: Terms, model: Model) -> float:
     """Return the exponent, less 1, of the light to which the edge's shape takes the grey values; 0 if by chance.
 
-    Of an edge so sharp that a pixel's square shows it says nothing: 0. To first order: ``v^(1+g) = v + g v ln v``. One more column in the fit, whose coefficient is estimated with all
-    other parameters free.
+    To first order: ``v^(1+g) = v + g v ln v``. One more column in the fit, whose coefficient is estimated with all
+    other parameters free. An edge so sharp that a pixel's square shows in it says nothing: 0.
 
     Parameters
     ----------
@@ -78,6 +78,7 @@ def response(terms: Terms, model: Model) -> float:
     jacobian, residual = whitened(terms, model, seen)
     light = np.maximum(seen.value, 1e-3)
     column = light * np.log(light) / np.sqrt(variance(model, seen))
+    jacobian = jacobian.astype(np.float64)
     information = jacobian @ jacobian.T
     mixed = jacobian @ column
     left = column - solve(information, mixed) @ jacobian
