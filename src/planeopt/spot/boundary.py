@@ -39,6 +39,7 @@ _WHOLE = 0.85  # of the segments: where fewer are good something hides the other
 _BAD_SEGMENT = 6.0  # standard deviations of the segments' misfit
 _QUANTILES = (0.05, 0.3)  # from which these are told
 _GOOD_SEGMENT = 0.02  # of the plateau: a misfit that is good enough, however small the noise
+_GOOD_START = 0.1  # the same at first, when the surfaces cannot follow an uneven plateau yet
 _MIN_SHARE = 0.35  # of the boundary: a shorter arc hardly holds an ellipse
 # Of the ellipse's size: what scatters more is not one, unless all of it is what the noise explains.
 _MAX_SCATTER, _MAX_NOISE, _UNEXPECTED = 0.04, 0.15, 2.0
@@ -267,7 +268,7 @@ def _fit(view: _View, state: _State, *, last: bool) -> _Fit:
 
 def _attempt(band: Band, terms: Terms, model: Model, good: Mask, *, last: bool) -> _Fit:
     """Fit to the good segments (S,), and judge all of them by the result."""
-    steps = _LAST_STEPS if last else _STEPS
+    first, steps = len(model.surface) == 1, _LAST_STEPS if last else _STEPS
     some = _spread(band, good)
     usable = ~band.clipped & _unclipped(band.values, model.noise[0]) if band.clipped.any() else ~band.clipped
     robust = not last or good.mean() < _WHOLE
@@ -281,7 +282,7 @@ def _attempt(band: Band, terms: Terms, model: Model, good: Mask, *, last: bool) 
     if last:
         fitted = fitted.pruned()
     segments = segments_of(band, terms, fitted.model, usable)
-    there, good = _judged(segments, fitted.model, band.chosen)
+    there, good = _judged(segments, fitted.model, band.chosen, _GOOD_START if first else _GOOD_SEGMENT)
     offset = fitted.model.offset @ waves(segments.theta, fitted.model.freedom.waves) + segments.offset
     feet, normals, _ = band.outline.at(segments.theta)
     return _Fit(band, fitted, terms, usable, segments, feet + normals * offset[:, None], there, good, some)
@@ -343,10 +344,10 @@ def _foreign(band: Band, terms: Terms, model: Model, seen: Seen) -> Mask:
     return away & band.widened(far, _NEIGHBOURS) if far.any() else far
 
 
-def _judged(segments: Segments, model: Model, chosen: Mask) -> tuple[Mask, Mask]:
+def _judged(segments: Segments, model: Model, chosen: Mask, enough: float) -> tuple[Mask, Mask]:
     """Return which segments show the boundary at all, and which of them fit the model as well as the others.
 
-    Of those that were `chosen` (S,) to be looked at.
+    Of those that were `chosen` (S,) to be looked at; a misfit of `enough` of the plateau is no reason against one.
 
     A bad segment's neighbours within the profile's width see what it sees.
     """
@@ -359,7 +360,7 @@ def _judged(segments: Segments, model: Model, chosen: Mask) -> tuple[Mask, Mask]
     best, usual = np.quantile(misfit[there], _QUANTILES)
     spread = (usual - best) / float(ndtri(_QUANTILES[1]) - ndtri(_QUANTILES[0]))
     limit = usual + (_BAD_SEGMENT - float(ndtri(_QUANTILES[1]))) * spread
-    least = (_GOOD_SEGMENT * model.scale) ** 2 / float(model.noise[0])
+    least = (enough * model.scale) ** 2 / float(model.noise[0])
     bad = (chosen & ~there) | (misfit > max(limit, least))
     reach = int(np.ceil(model.widths.mean))
     near = np.convolve(np.concatenate([bad[-reach:], bad, bad[:reach]]), np.ones(2 * reach + 1), "valid") > 0
