@@ -103,6 +103,26 @@ def test_a_bar_splits_it(kind: Kind) -> None:
 
 
 @pytest.mark.parametrize("kind", ["disc", "ring"])
+@pytest.mark.parametrize("level", [0.0, 20.0, 45.0, 76.0])
+@pytest.mark.parametrize("told", [False, True])
+def test_a_bar_leaves_two_caps_of_a_small_one(kind: Kind, level: float, told: bool) -> None:
+    truth = Outline(300.3, 220.8, 27.0, 23.0, 0.5)
+    bar = np.abs((X - truth.x) * 0.6 + (Y - truth.y) * 0.8) < 12.5
+    candidate = found(noisy(np.where(bar, level, 20 + 170 * spot(kind, truth))), kind if told else None)
+    assert candidate.kind == kind
+    assert error(candidate, truth) < 1.5
+
+
+@pytest.mark.parametrize("height", [150.0, 470.0])
+@pytest.mark.parametrize("told", [False, True])
+def test_a_small_soft_ring(height: float, told: bool) -> None:
+    truth = Outline(300.3, 220.8, 9.0, 7.5, 0.5)
+    candidate = found(noisy(20 + height * ring(truth, 2.4)), "ring" if told else None)
+    assert candidate.kind == "ring"
+    assert error(candidate, truth) < 1.0
+
+
+@pytest.mark.parametrize("kind", ["disc", "ring"])
 def test_faint_on_a_slope(kind: Kind) -> None:
     candidate = found(noisy(40 + 0.1 * X + 0.05 * Y + 22 * spot(kind), 1.5))
     assert candidate.kind == kind

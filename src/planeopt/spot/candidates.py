@@ -122,7 +122,7 @@ def find_candidate(
 
 
 def _find_in(grey: Grey, box: Box, noise: float, kind: Kind | None, beam: BeamHint) -> Candidate:
-    found, rejected = _search(grey, box, noise, beam)
+    found, rejected = _search(grey, box, noise, kind, beam)
     right = [candidate for candidate in found if kind in (None, candidate.kind)]
     best = max(right or found, key=lambda candidate: candidate.strength, default=None)
     if best is None:
@@ -158,16 +158,16 @@ def _explain(grey: Grey, rejected: _Rejected) -> SpotNotFound:
     return SpotNotFound(NoSpotReason.NO_CONTRAST)
 
 
-def _search(grey: Grey, box: Box, noise: float, beam: BeamHint) -> tuple[list[Candidate], _Rejected]:
+def _search(grey: Grey, box: Box, noise: float, kind: Kind | None, beam: BeamHint) -> tuple[list[Candidate], _Rejected]:
     """Return what looks like a spot, one of each, and why the most striking other thing does not."""
     x0, y0, x1, y1 = _padded(beam.box(box), grey.shape)
     if min(x1 - x0, y1 - y0) < _MIN_SIDE:
         return [], _Rejected()
     levels = pyramid(grey.search[y0:y1, x0:x1], (x0, y0), noise * grey.search_scale)
     first = 1 if (x1 - x0) * (y1 - y0) > _LARGE else 0
-    found, rejected = _compete(grey, levels, range(first, len(levels)), box, noise, beam)
+    found, rejected = _compete(grey, levels, range(first, len(levels)), box, noise, kind, beam)
     if not found and first > 0:
-        found, rejected = _compete(grey, levels, range(first), box, noise, beam)
+        found, rejected = _compete(grey, levels, range(first), box, noise, kind, beam)
     return found, rejected
 
 
@@ -181,7 +181,7 @@ def _padded(box: Box, shape: tuple[int, int]) -> Box:
 
 
 def _compete(
-    grey: Grey, levels: list[Level], which: range, box: Box, noise: float, beam: BeamHint
+    grey: Grey, levels: list[Level], which: range, box: Box, noise: float, kind: Kind | None, beam: BeamHint
 ) -> tuple[list[Candidate], _Rejected]:
     scale = grey.search_scale
     floor, threshold = max(_MIN_CONTRAST, noise) * scale, max(_NOISE_FACTOR * noise, _MIN_CONTRAST) * scale
@@ -191,7 +191,7 @@ def _compete(
     clutter = 0.0
     # What does not hold makes room for what it had kept out.
     for _ in range(_CHANCES):
-        candidates, failed = _confirmed(levels, judged, grey, threshold)
+        candidates, failed = _confirmed(levels, judged, grey, threshold, kind)
         if not failed:
             break
         clutter = max(clutter, float(judged.rank[failed].max()))
@@ -214,13 +214,17 @@ def _compete(
     return candidates, _Rejected(verdicts[worst], (x, y))
 
 
-def _confirmed(levels: list[Level], judged: Judged, grey: Grey, threshold: float) -> tuple[list[Candidate], list[int]]:
+def _confirmed(
+    levels: list[Level], judged: Judged, grey: Grey, threshold: float, kind: Kind | None
+) -> tuple[list[Candidate], list[int]]:
     """Return the distinct finds that hold when looked at more closely, and the indices of those that do not."""
     candidates, failed = [], []
     for index in _distinct(judged)[:_JUDGED]:
         traced = confirmed(levels, judged.traced[np.array([index])])
         if verdicts_on(traced, np.zeros(1), threshold)[0] is None:
-            candidates.append(_candidate(look_at(levels, traced.ellipses), traced, float(judged.rank[index]), grey))
+            candidates.append(
+                _candidate(look_at(levels, traced.ellipses, kind), traced, float(judged.rank[index]), grey)
+            )
         else:
             failed.append(index)
     return candidates, failed

@@ -56,7 +56,8 @@ def edges_on_rays(level: Level, seeds: Array) -> tuple[Array, Array]:
     Returns
     -------
     radius : (K, R, 2) array
-        Of the strongest fall, and of the first that is nearly significant; px of the level, NaN where there is none.
+        Of the strongest fall, and of the first that is nearly significant, or, where that is the strongest, of the
+        last; px of the level, NaN where there is none.
     height : (K, R, 2) array
         By how much the grey value falls across three pixels, 0 where there is none.
     """
@@ -75,8 +76,11 @@ def edges_on_rays(level: Level, seeds: Array) -> tuple[Array, Array]:
     strongest = peaks.argmax(axis=2)
     height = np.take_along_axis(peaks, strongest[..., None], axis=2)[..., 0]
     typical = np.median(height, axis=1)[:, None, None]
-    first = (peaks > _SIGNIFICANT * np.minimum(typical, height[..., None]) + 1e-9).argmax(axis=2)
-    index = np.stack([strongest, first], axis=2)
+    significant = peaks > _SIGNIFICANT * np.minimum(typical, height[..., None]) + 1e-9
+    first = significant.argmax(axis=2)
+    # What is brighter than a ring hides it from the places behind: its line is the last thing on their rays.
+    last = peaks.shape[2] - 1 - significant[..., ::-1].argmax(axis=2)
+    index = np.stack([strongest, np.where(first == strongest, last, first)], axis=2)
     at, before, after = (np.take_along_axis(values, index, axis=2) for values in (peaks, inner, outer))
     bend = 2 * at - before - after
     fine = np.where(bend > 0, (after - before) / (2 * np.where(bend > 0, bend, 1)), 0)
@@ -183,7 +187,7 @@ def _agreement(q: Array, radius: Array, weight: Array) -> tuple[Array, Array]:
     inverse = 1 / (_TOLERANCE[0] + _TOLERANCE[1] * predicted)
     miss = np.nan_to_num((predicted[..., None] - radius[:, None]) * inverse[..., None], nan=np.inf)
     credit = np.maximum(1 - miss**2, 0) * weight[:, None]
-    further = np.clip(-miss[..., 1] - 1, 0, 1) * (weight[:, None, :, 1] > _SIGNIFICANT)
+    further = np.clip(-miss.max(axis=3) - 1, 0, 1) * (weight[:, None, :, 1] > _SIGNIFICANT)
     share = (credit.max(axis=3) - _BEYOND * further).mean(axis=2)
     return np.where((root > 0).all(axis=2), share, 0), credit
 
