@@ -26,10 +26,10 @@ class SpotFlag(Enum):
     )
     LOW_CONTRAST = "The spot is faint: its edge is less than 10 times the noise of a pixel."
     PARTIAL_ARC = "Less than 90 % of the boundary could be measured."
-    MANY_OUTLIERS = "More than 5 % of the boundary's profiles did not fit and were left out."
+    MANY_OUTLIERS = "More than 5 % of the boundary did not fit and was left out."
     STRONG_CURVATURE = (
         "The spot is small or narrow against its blur (curvature times blur over 0.3): "
-        "the correction for that is not exact."
+        "its size, its blur and its brightness are hard to tell apart."
     )
     OWN_WIDTH = (
         "The beam's own softness and the camera's blur cannot be told apart; "
