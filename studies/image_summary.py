@@ -165,8 +165,9 @@ def finding(
         f"most {_worst(noisy)}. The largest over its standard error is {_most_significant(plain)}. Over-exposed "
         f"twice ({len(over)} cells) it is at most {_worst(over)}.",
         "",
-        f"**Noise over the Cramér-Rao bound**, RMS: {'; '.join(noise)}. {sum(c.refused for c in cells)} of "
-        f"{sum(c.images for c in cells)} images were refused.",
+        f"**Noise over the Cramér-Rao bound**, RMS: {'; '.join(noise)}.",
+        "",
+        f"**Refused** in these cells: {_refusals(cells)}.",
         "",
         f"**Hard cases.** {right} of {images} planes are right within 4 of their own standard deviations, "
         f"{sum(c.refused for c in hard)} refused, {sum(c.degraded for c in hard)} off with a warning, "
@@ -195,6 +196,15 @@ def finding(
         *(f"| {f.fault} | {f.images} | {f.said} | {f.refused} | {f.raised or '-'} |" for f in flags),
     ]
     return "\n".join(lines)
+
+
+def _refusals(cells: Sequence[CellRow]) -> str:
+    faint = [c for c in cells if c.contrast < 10 * c.noise]
+    others = [c for c in cells if c.contrast >= 10 * c.noise]
+    return (
+        f"{sum(c.refused for c in faint)} of {sum(c.images for c in faint)} images whose contrast is below ten times the "
+        f"noise, {sum(c.refused for c in others)} of the {sum(c.images for c in others)} others"
+    )
 
 
 def _worst(cells: Sequence[CellRow]) -> str:
