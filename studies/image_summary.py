@@ -202,7 +202,7 @@ def _refusals(cells: Sequence[CellRow]) -> str:
     faint = [c for c in cells if c.contrast < 10 * c.noise]
     others = [c for c in cells if c.contrast >= 10 * c.noise]
     return (
-        f"{sum(c.refused for c in faint)} of {sum(c.images for c in faint)} images whose contrast is below ten times the "
+        f"{sum(c.refused for c in faint)} of {sum(c.images for c in faint)} images with a contrast below ten times the "
         f"noise, {sum(c.refused for c in others)} of the {sum(c.images for c in others)} others"
     )
 
