@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import cast
 
 from planeopt.executors import processes
-from studies.study import Study, write
+from studies.study import Study, put_headline, write
 
 STUDIES = ("image",)
 RESULTS = Path(__file__).parent / "results"
@@ -29,7 +29,10 @@ def main(arguments: list[str] | None = None) -> None:
         for name in given.names or STUDIES:
             study = cast(Study, importlib.import_module(f"studies.{name}"))
             begun = time.perf_counter()
-            write(study.run("quick" if given.quick else "full", executor), given.output / name)
+            result = study.run("quick" if given.quick else "full", executor)
+            write(result, given.output / name)
+            if given.output == RESULTS and not given.quick:
+                put_headline(RESULTS.parent / "README.md", name, result.headline)
             sys.stdout.write(f"{name}: {time.perf_counter() - begun:.0f} s, {given.output / name}\n")
 
 

@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import math
+import textwrap
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
@@ -75,6 +76,22 @@ def write(result: Result, folder: Path) -> None:
         for name, figure in result.figures.items():
             figure.savefig(folder / f"{name}.png", dpi=130, metadata={"Software": None})
     (folder / "finding.md").write_text(result.finding.rstrip() + "\n", encoding="utf-8")
+
+
+def put_headline(index: Path, name: str, headline: str) -> None:
+    """Put a study's headline into the index, between the two comments with its name.
+
+    Parameters
+    ----------
+    index : Path
+        A Markdown file with ``<!-- NAME -->`` and ``<!-- /NAME -->`` on lines of their own.
+    name, headline : str
+    """
+    text = index.read_text(encoding="utf-8")
+    begin, end = f"<!-- {name} -->\n", f"<!-- /{name} -->\n"
+    before, rest = text.split(begin)
+    after = rest.split(end)[1]
+    index.write_text(f"{before}{begin}{textwrap.fill(headline, 120)}\n{end}{after}", encoding="utf-8")
 
 
 def read_rows(path: Path, kind: type[Row]) -> list[Row]:
