@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 # Curvature times width: below, what the shift leaves moves the boundary by less than 5e-4 px.
 _GENTLE = {"disc": 0.03, "ring": 0.015}
 _SOFT = 1.2  # px: blur that a third of a pixel resolves
-_TINY, _SMALL = 5_000, 40_000  # pixels
+_TINY, _SMALL = 5_000, 10_000  # pixels
 _THINNEST = 0.3  # px: a line that the rendered grid still resolves
 
 
@@ -85,10 +85,7 @@ def rendered(kind: Kind, outline: Outline, blur: float, line: float, box: tuple[
         1 on a disc's plateau; of a ring, light of unit peak before the blur, divided by `line`.
     """
     x0, y0, x1, y1 = box
-    # Odd, so that one of the sub-pixels lies at the pixel's centre. Their own error, 1e-3 px, averages out along a
-    # long boundary.
-    size = (x1 - x0) * (y1 - y0)
-    factor = 9 if size < _TINY else 5 if blur < _SOFT or size < _SMALL else 3
+    factor = _fineness(kind, blur, line, (x1 - x0) * (y1 - y0))
     margin = int(np.ceil(4 * blur)) + 1
     step, offset = 1.0 / factor, (factor - 1) / 2
     x = x0 - margin + (np.arange((x1 - x0 + 2 * margin) * factor) - offset) * step - outline.x
@@ -106,6 +103,15 @@ def rendered(kind: Kind, outline: Outline, blur: float, line: float, box: tuple[
         # The pixel's part inside, for a boundary that is straight within it; its own width is taken from the blur.
         light = np.clip(0.5 - (rho - 1) / np.maximum(slope, 1e-9) / step, 0.0, 1.0)
         blur = np.sqrt(max(blur**2 + line**2 - step**2 / 12, 1e-4))
-    blurred = cv2.GaussianBlur(light, (0, 0), blur * factor, borderType=cv2.BORDER_REPLICATE)
+    blurred = cv2.GaussianBlur(light.astype(np.float32), (0, 0), blur * factor, borderType=cv2.BORDER_REPLICATE)
     inside = slice(margin * factor + factor // 2, -margin * factor, factor)
     return np.asarray(blurred[inside, inside], dtype=np.float64)
+
+
+def _fineness(kind: Kind, blur: float, line: float, pixels: int) -> int:
+    """Return how many sub-pixels a pixel is rendered in; odd, so that one of them lies at its centre."""
+    if kind == "ring":
+        # A Gaussian is told by samples as far apart as its standard deviation, to 1e-8.
+        return 2 * int(np.ceil((1 / min(blur, max(line, _THINNEST)) - 1) / 2)) + 1 if min(blur, line) < 1 else 1
+    # A sharp edge: the sub-pixels' own error, 1e-3 px, averages out along a long boundary.
+    return 9 if pixels < _TINY else 5 if blur < _SOFT or pixels < _SMALL else 3
