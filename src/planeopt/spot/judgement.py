@@ -18,7 +18,8 @@ GOOD_SEGMENT = 0.02
 GOOD_START = 0.1
 """The same at first, when the surfaces cannot follow an uneven plateau yet."""
 
-_FOREIGN, _NEIGHBOURS = 6.0, 2  # usual residuals, and px round it, from which a pixel is no plateau or background
+_FOREIGN = 6.0  # usual residuals, from which a pixel is no plateau or background
+_SKIRT = 2.0  # widths round it, in which the blurred border of what is there still tells
 _AWAY = 2.5  # widths from the edge, where there is nothing but these
 _MEDIAN_OF_NORMAL = 0.6745  # of a standard normal variable's size
 _BAD_SEGMENT = 6.0  # standard deviations of the segments' misfit
@@ -43,7 +44,7 @@ def foreign(band: Band, terms: Terms, model: Model, seen: Seen) -> Mask:
     off = np.abs(terms.values - seen.value) / np.sqrt(variance(model, seen))
     usual = float(np.median(off)) / _MEDIAN_OF_NORMAL
     far = away & (off > _FOREIGN * usual) & (np.abs(terms.values - seen.value) > GOOD_SEGMENT * model.scale)
-    return away & band.widened(far, _NEIGHBOURS) if far.any() else far
+    return away & band.widened(far, int(np.ceil(_SKIRT * model.widths.mean))) if far.any() else far
 
 
 def judged(segments: Segments, model: Model, chosen: Mask, enough: float) -> tuple[Mask, Mask]:
