@@ -22,6 +22,7 @@ ROOMS = (
     "errors",
     "ranks",
     "executors",
+    "toml_files",
     "plane",
     "rig",
     "equations",

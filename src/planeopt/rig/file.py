@@ -5,8 +5,6 @@ the user gets one line that names the file and the key.
 """
 
 import os
-import re
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,9 +16,7 @@ from planeopt.rig.beam import Beam
 from planeopt.rig.camera import Camera
 from planeopt.rig.covariance import RigCovariance
 from planeopt.rig.model import Rig, SpotDefinition
-
-FORMAT = 1
-"""Version of the file format that this reads and writes."""
+from planeopt.toml_files import FORMAT, as_tables, read_toml, write_text
 
 
 class _CameraTable(msgspec.Struct, forbid_unknown_fields=True):
@@ -72,22 +68,7 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
     InputError
         If the file is missing, unreadable or invalid: one line with the file, the key and what is wrong.
     """
-    file = Path(path)
-    try:
-        text = file.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError as error:
-        raise InputError(f"{file}: there is no such file") from error
-    except IsADirectoryError as error:
-        raise InputError(f"{file}: this is a folder; name the rig file in it") from error
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{file}: not a text file in UTF-8 (byte {error.start})") from error
-    try:
-        mapping = tomllib.loads(text)
-    except ValueError as error:
-        raise InputError(f"{file}: not valid TOML: {error}") from error
-    return rig_from_dict(mapping, str(file))
+    return rig_from_dict(read_toml(path, "rig"), str(path))
 
 
 def rig_from_dict(mapping: Mapping[str, Any], source: str) -> Rig:
@@ -105,13 +86,7 @@ def rig_from_dict(mapping: Mapping[str, Any], source: str) -> Rig:
     InputError
         If a key is missing, unknown or has an impossible value, or the format is not known.
     """
-    version = mapping.get("format", FORMAT)
-    if isinstance(version, int) and not isinstance(version, bool) and version != FORMAT:
-        raise InputError(f"{source}: format {version} is not known; this version of planeopt reads format {FORMAT}")
-    try:
-        tables = msgspec.convert(dict(mapping), _File)
-    except msgspec.ValidationError as error:
-        raise InputError(f"{source}: {_in_words(str(error))}") from error
+    tables = as_tables(mapping, _File, source)
     try:
         return _assemble(tables)
     except InputError as error:
@@ -133,36 +108,6 @@ def _assemble(tables: _File) -> Rig:
     )
 
 
-_WANTED = {
-    "float": "a number",
-    "int": "a whole number",
-    "array": "a list",
-    "object": "a table",
-    "str": "a text",
-}
-_FOUND = _WANTED | {
-    "float": "a decimal number",
-    "bool": "true or false",
-    "date": "a date",
-    "datetime": "a date and time",
-}
-
-
-def _in_words(message: str) -> str:
-    """Turn msgspec's message ("Expected `float`, got `str` - at `$.camera.fx`") into the words of the file."""
-    what, _, where = message.partition(" - at ")
-    key = where.strip("`").removeprefix("$").removeprefix(".").replace("[...]", "")
-    place = f"[{key}]" if key else "the file"
-    if found := re.fullmatch(r"Object missing required field `(.+)`", what):
-        return f"{place} lacks the key {found[1]!r}"
-    if found := re.fullmatch(r"Object contains unknown field `(.+)`", what):
-        return f"{place} has the unknown key {found[1]!r}: check its spelling, or remove it"
-    if found := re.fullmatch(r"Expected `(.+)`, got `(.+)`", what):
-        wanted = found[1].removesuffix(" | null")
-        return f"{key or 'the file'} must be {_WANTED.get(wanted, wanted)}, not {_FOUND.get(found[2], found[2])}"
-    return f"{key or 'the file'}: {what}"
-
-
 def save_rig(rig: Rig, path: str | os.PathLike[str]) -> None:
     """Write a rig to a TOML file that reads back equal, to the last bit.
 
@@ -176,13 +121,7 @@ def save_rig(rig: Rig, path: str | os.PathLike[str]) -> None:
     file = Path(path)
     if file.is_dir():
         raise InputError(f"{file}: this is a folder; name the rig file to write in it")
-    beside = file.with_name(f".{file.name}.{os.getpid()}.part")
-    try:
-        beside.write_text(_as_toml(rig), encoding="utf-8")
-        beside.replace(file)
-    except OSError as error:
-        beside.unlink(missing_ok=True)
-        raise InputError(f"{file}: cannot be written: {error.strerror}") from error
+    write_text(file, _as_toml(rig))
 
 
 def _as_toml(rig: Rig) -> str:

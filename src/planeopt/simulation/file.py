@@ -2,8 +2,6 @@
 
 import math
 import os
-import re
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -29,9 +27,7 @@ from planeopt.simulation.tables import (
     Table,
     Triple,
 )
-
-FORMAT = 1
-"""Version of the file format that this reads and writes."""
+from planeopt.toml_files import FORMAT, as_tables, read_toml, write_text
 
 
 class PlaneTable(Table, frozen=True):
@@ -133,14 +129,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         If the file, or the rig's, is missing, unreadable or invalid: one line with the file, the key and what is wrong.
     """
     file = Path(path)
-    mapping = _read(file)
-    version = mapping.get("format", FORMAT)
-    if isinstance(version, int) and not isinstance(version, bool) and version != FORMAT:
-        raise InputError(f"{file}: format {version} is not known; this version of planeopt reads format {FORMAT}")
-    try:
-        tables = msgspec.convert(mapping, SceneFile)
-    except msgspec.ValidationError as error:
-        raise InputError(f"{file}: {_in_words(str(error))}") from error
+    tables = as_tables(read_toml(file, "scene"), SceneFile, str(file))
     rig = _rig(tables.rig, file)
     shared = {name: getattr(tables, name) for name in _SHARED} | {"occlusions": tables.occlusion}
     if tables.beam is not None:
@@ -163,7 +152,7 @@ def scene_sources(path: str | os.PathLike[str]) -> list[Path]:
         If the scene cannot be read.
     """
     file = Path(path)
-    rig = _read(file).get("rig")
+    rig = read_toml(file, "scene").get("rig")
     return [file, file.parent / rig] if isinstance(rig, str) else [file]
 
 
@@ -174,57 +163,6 @@ def _rig(given: str | dict[str, Any], file: Path) -> Rig:
     if isinstance(given, str):
         return load_rig(file.parent / given)
     return rig_from_dict(given, f"{file}: rig")
-
-
-def _read(file: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(file.read_bytes().decode("utf-8-sig"))
-    except FileNotFoundError as error:
-        raise InputError(f"{file}: there is no such file") from error
-    except IsADirectoryError as error:
-        raise InputError(f"{file}: this is a folder; name the scene file in it") from error
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{file}: not a text file in UTF-8 (byte {error.start})") from error
-    except ValueError as error:
-        raise InputError(f"{file}: not valid TOML: {error}") from error
-
-
-_TYPES = {
-    "float": "a number",
-    "int": "a whole number",
-    "array": "a list",
-    "object": "a table",
-    "str": "a text",
-    "bool": "true or false",
-    "date": "a date",
-    "datetime": "a date and time",
-    "null": "nothing",
-}
-_LIMITS = {">=": "at least", ">": "above", "<=": "at most", "<": "below"}
-
-
-def _in_words(message: str) -> str:
-    """Turn msgspec's message ("Expected `float`, got `str` - at `$.beam.height`") into the words of the file."""
-    what, _, where = message.partition(" - at ")
-    key = where.strip("`").removeprefix("$").removeprefix(".").replace("[...]", "")
-    place = f"[{key}]" if key else "the file"
-    if found := re.fullmatch(r"Object missing required field `(.+)`", what):
-        return f"{place} lacks the key {found[1]!r}"
-    if found := re.fullmatch(r"Object contains unknown field `(.+)`", what):
-        return f"{place} has the unknown key {found[1]!r}: check its spelling, or remove it"
-    if found := re.fullmatch(r"Expected `(.+)`, got `(.+)`", what):
-        wanted = " or ".join(_TYPES.get(name, name) for name in found[1].split(" | ") if name != "null")
-        return f"{key or 'the file'} must be {wanted}, not {_TYPES.get(found[2], found[2])}"
-    if found := re.fullmatch(r"Expected `array` of length (\d+), got (\d+)", what):
-        return f"{key} must be a list of {found[1]}, not of {found[2]}"
-    if found := re.fullmatch(r"Expected `\w+` (>=|>|<=|<) (.+)", what):
-        return f"{key} must be {_LIMITS[found[1]]} {found[2]}"
-    if what.startswith("Invalid enum value"):
-        return f"{key} cannot be {what.removeprefix('Invalid enum value ')}"
-    # What the tables themselves say names its key already.
-    return what if what.startswith(key.split(".")[0]) else f"{key or 'the file'}: {what}"
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str], rig_file: str) -> None:
@@ -242,14 +180,7 @@ def save_scene(scene: Scene, path: str | os.PathLike[str], rig_file: str) -> Non
     InputError
         If the file cannot be written.
     """
-    file = Path(path)
-    beside = file.with_name(f".{file.name}.{os.getpid()}.part")
-    try:
-        beside.write_text(tomli_w.dumps(_mapping(scene, rig_file)), encoding="utf-8")
-        beside.replace(file)
-    except OSError as error:
-        beside.unlink(missing_ok=True)
-        raise InputError(f"{file}: cannot be written: {error.strerror}") from error
+    write_text(path, tomli_w.dumps(_mapping(scene, rig_file)))
 
 
 def _mapping(scene: Scene, rig_file: str) -> dict[str, Any]:
