@@ -20,8 +20,8 @@ _log = logging.getLogger(__name__)
 _CLIPPED = 0.01  # of the spot's pixels
 _FAINT = 10.0  # edge over noise
 _WHOLE = 0.9  # of the boundary
-_MANY_OUTLIERS = 0.05  # of the profiles
-_STRONG_CURVATURE = 0.3  # curvature times blur: the next term of the correction is about its square of the first
+_MANY_OUTLIERS = 0.05  # of what is there of it
+_STRONG_CURVATURE = 0.3  # curvature times blur
 _EXCESS = 3.0  # scatter over what the noise explains
 _LEVEL_DEPENDENT = 0.1  # px between the two halves of the edge
 _BENT = 0.6  # of the exponent: a gamma of 1.5 shows; lenses that do not blur as a Gaussian does seem to be 0.4
@@ -44,9 +44,9 @@ def find_spot(
 ) -> Spot:
     """Find the laser spot in an image and measure its boundary to a small fraction of a pixel.
 
-    A disc or ring on a darker surface; up to a third of it may be hidden or lie off the image. The boundary is measured
-    along about one normal per pixel of its length: an error function (a Gaussian ridge) with its own background and
-    brightness on each normal, one width shared round the spot, corrected for what blur does to a curved boundary.
+    A disc or ring on a darker surface; up to a third of it may be hidden or lie off the image. A model of the blurred
+    edge (ridge), with a plateau and a background that vary smoothly, is fitted to all pixels of the band round it; each
+    piece of the boundary, about a pixel long, then says by itself where it is (``docs/measurement.md``).
 
     Parameters
     ----------

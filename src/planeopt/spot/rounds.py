@@ -178,6 +178,8 @@ def _attempt(band: Band, terms: Terms, model: Model, good: Mask, *, last: bool) 
     value = see(terms, fitted.model)
     # What is left out by what was measured is left out too often where the noise went up.
     alone = unclipped(value.value, fitted.model.noise.sum()) & ~foreign(band, terms, fitted.model, value)
+    # Less the light without the laser, full scale is lower: there the pixel itself says so.
+    alone &= ~(band.clipped & (value.value > band.values))
     if np.any(alone != usable):
         usable = alone
         fitted = fit_model(terms.part(usable & some[band.segment]), fitted.model, steps=steps, robust=robust)
