@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 
 OUTLINE = Outline(60.3, 55.8, 30.0, 24.0, 0.4)
 FREE = {
-    "disc": Freedom(3, 2, 2, 4, 4, True, True, True, False, False),
-    "ring": Freedom(3, 0, 2, 4, 4, False, True, True, True, True),
+    "disc": Freedom(3, 2, 2, 4, 4, True, True, True, False, False, True),
+    "ring": Freedom(3, 0, 2, 4, 4, False, True, True, True, True, False),
 }
 
 
@@ -35,13 +35,14 @@ def model(kind: Kind, seed: int = 0) -> Model:
     ground, top = free.background_terms, 1 + 2 * max(free.plateau, free.plateau_waves) + N_ELLIPSE * free.plateau_slopes
     coefficients = rng.normal(0, 0.02, ground + top)
     coefficients[0], coefficients[ground] = 0.1, 0.6
-    widths = Widths(1.4, 0.0) if kind == "disc" else Widths(1.1, 0.9, (0.1, -0.05))
+    widths = Widths(1.4, 0.0, oval=(0.1, -0.15)) if kind == "disc" else Widths(1.1, 0.9, (0.1, -0.05))
     return Model(kind, free, widths, rng.normal(0, 0.2, 7), coefficients, np.array([1e-4, 2e-4, 3e-4]), 0.6)
 
 
 def parameters(of: Model) -> Array:
     widths, free = of.widths, of.freedom
-    tail = [widths.blur] * free.blur + [widths.line] * free.line + list(widths.lean) * free.lean
+    tail = [widths.blur] * free.blur + [widths.line] * free.line
+    tail += list(widths.lean) * free.lean + list(widths.oval) * free.oval
     return np.concatenate([of.offset, of.surface, tail])
 
 
@@ -51,7 +52,8 @@ def with_parameters(of: Model, values: Array) -> Model:
     blur = tail.pop(0)
     line = tail.pop(0) if of.freedom.line else of.widths.line
     lean = (tail[0], tail[1]) if of.freedom.lean else of.widths.lean
-    return replace(of, offset=values[:n], surface=values[n:m], widths=Widths(blur, line, lean))
+    oval = (tail[0], tail[1]) if of.freedom.oval else of.widths.oval
+    return replace(of, offset=values[:n], surface=values[n:m], widths=Widths(blur, line, lean, oval))
 
 
 @pytest.mark.parametrize("kind", ["disc", "ring"])
@@ -70,9 +72,9 @@ def test_derivatives_of_all_parameters(kind: Kind) -> None:
         ends[1][place] -= step
         up, down = (see(terms, with_parameters(truth, end)).value for end in ends)
         # Central differences: truncation 1e-10, rounding 1e-11. Two terms are left out by design: of a plateau's own
-        # slope by the boundary's place, and of that slope's share by the blur: both a slope (0.02) over the size (27)
-        # times the profile's.
-        allowed = 5e-3 if place < len(truth.offset) or place >= len(truth.offset) + len(truth.surface) else 1e-8
+        # slope by the boundary's place, and of that slope's share by the blur: both some slopes (0.02) over the size
+        # (27) times the profile's (0.3).
+        allowed = 2.5e-2 if place < len(truth.offset) or place >= len(truth.offset) + len(truth.surface) else 1e-8
         assert np.abs((up - down) / (2 * step) - row).max() < allowed * max(np.abs(row).max(), 0.1), place
     assert np.all(np.isfinite(seen.value))
 
@@ -124,7 +126,7 @@ def test_variance_of_segments_is_that_of_draws() -> None:
 def test_pruning_is_the_fit_without() -> None:
     """A group that is nought goes, and the rest follows as in a fit that never had it; one that is not stays."""
     pixels = band()
-    even = replace(model("disc"), surface=np.zeros(28))
+    even = replace(model("disc"), surface=np.zeros(28), widths=Widths(1.4))
     even.surface[0], even.surface[even.freedom.background_terms] = 0.1, 0.6
     terms = terms_of(pixels, "disc", even.freedom, even.widths)
     noise = np.random.default_rng(2).normal(0, 0.01, len(terms.u))
@@ -133,11 +135,11 @@ def test_pruning_is_the_fit_without() -> None:
     pruned = full.pruned()
     for group in even.freedom.groups:
         assert np.all(pruned.model.surface[group] == 0)
-    small = replace(flat, freedom=Freedom(3, 0, 0, 0, 0, False, False, True, False, False))
+    small = replace(flat, freedom=Freedom(3, 0, 0, 0, 0, False, False, True, False, False, False))
     little = terms_of(pixels, "disc", small.freedom, small.widths)
     direct = fit_model(replace(little, values=see(terms, even).value + noise), small, steps=8, robust=False)
     # To first order in changes of some standard deviations of a well determined fit.
-    np.testing.assert_allclose(pruned.model.offset, direct.model.offset, atol=1e-4)
+    np.testing.assert_allclose(pruned.model.offset, direct.model.offset, atol=3e-4)
     assert pruned.model.widths.blur == pytest.approx(direct.model.widths.blur, abs=2e-3)
     # The size pays for plateau, background and blur; nothing else is shared.
     assert 1 < pruned.shared_inflation(1.0) < full.shared_inflation(1.0)
@@ -153,6 +155,7 @@ def test_shared_inflation_is_that_of_the_covariance() -> None:
     rng = np.random.default_rng(3)
     root = rng.normal(size=(12, 12))
     truth = replace(model("disc"), offset=np.zeros(5), surface=np.zeros(6))
+    truth = replace(truth, freedom=replace(truth.freedom, oval=False))
     information = root @ root.T
     fitted = Fitted(truth, information)
     free = np.linalg.inv(information)[:5, :5]

@@ -22,6 +22,7 @@ _MEDIAN_OF_NORMAL = 0.6745  # of a standard normal variable's size
 _MEDIAN_OF_SQUARE = _MEDIAN_OF_NORMAL**2
 _FAR = 2.5  # usual residuals, where a pixel counts half
 _LEAN_SIGMA, _MOST_LEAN = 0.3, 0.6
+_OVAL_SIGMA, _MOST_OVAL = 0.5, 0.9
 _UNEVEN = 0.5  # of the plateau's height: a variation of background or plateau is hardly larger
 _START = 0.01  # of its own, by which each coefficient is held at nought
 _CLASSES = 12  # of height, in which the noise is looked at
@@ -91,17 +92,17 @@ class Fitted:
         together is what noise makes of none in 49 cases of 50; the other parameters follow as in a fit without it,
         to first order.
         """
-        fit = self
-        for place in self.model.freedom.groups:
-            fit = fit._without(place)
+        fit, first = self, len(self.model.offset)
+        for group in self.model.freedom.groups:
+            fit = fit._without(np.arange(first + group.start, first + group.stop), fit.model.surface[group])
+        if self.model.freedom.oval:
+            places = len(self.information) + np.array(self.model.freedom.oval_places)
+            fit = fit._without(places, np.array(fit.model.widths.oval))
         return fit
 
-    def _without(self, place: slice) -> "Fitted":
-        model, first = self.model, len(self.model.offset)
-        gone = np.arange(first + place.start, first + place.stop)
+    def _without(self, gone: NDArray[np.intp], value: Array) -> "Fitted":
         kept = np.setdiff1d(np.flatnonzero(np.diag(self.information) > 0), gone)
         rest, mixed = self.information[np.ix_(kept, kept)], self.information[np.ix_(kept, gone)]
-        value = model.surface[place]
         through = solve(rest, mixed)
         left = self.information[np.ix_(gone, gone)] - mixed.T @ through
         if float(value @ left @ value) > chi2.isf(_CHANCE, len(gone)):
@@ -111,7 +112,7 @@ class Fitted:
         # An information of nought stands for what has gone.
         information = self.information.copy()
         information[gone] = information[:, gone] = 0.0
-        return Fitted(_moved(model, change)[0], information)
+        return Fitted(_moved(self.model, change)[0], information)
 
     @property
     def _shared(self) -> NDArray[np.intp]:
@@ -120,12 +121,17 @@ class Fitted:
         return first + np.flatnonzero(np.diag(self.information)[first:] > 0)
 
     @property
+    def _has_oval(self) -> bool:
+        return bool(self.information[-1, -1] > 0)
+
+    @property
     def blur_sigma(self) -> float:
         """Standard deviation of the blur's variance, px^2; 0 where it is given."""
         if not self.model.freedom.blur:
             return 0.0
         places = np.concatenate([np.arange(N_ELLIPSE), self._shared])
-        place = len(places) - int(self.model.freedom.line) - 2 * int(self.model.freedom.lean) - 1
+        free = self.model.freedom
+        place = len(places) - int(free.line) - 2 * int(free.lean) - 2 * int(free.oval and self._has_oval) - 1
         return float(np.sqrt(np.diag(np.linalg.inv(self.information[np.ix_(places, places)]))[place]))
 
 
@@ -152,7 +158,7 @@ def fit_model(terms: Terms, model: Model, *, steps: int, robust: bool) -> Fitted
         whose pixels some may see something else.
     """
     model = replace(model, surface=np.zeros(len(terms.ground) + len(terms.top)))
-    by_surface = design(terms, model, see(terms, model))
+    by_surface = design(terms, see(terms, model))
     square = (by_surface @ by_surface.T).astype(np.float64)
     held = np.setdiff1d(np.arange(len(square)), [0, model.freedom.background_terms])
     square[held, held] *= 1 + _START
@@ -171,8 +177,10 @@ def whitened(terms: Terms, model: Model, seen: Seen) -> tuple[Array, Array]:
     """Return the derivatives (n, M) of the pixels by all free parameters, and the residuals (M,), over their noise."""
     free, root = model.freedom, 1 / np.sqrt(variance(model, seen))
     kind = terms.ground.dtype
-    by_widths = seen.by_widths[np.array([free.blur, free.line, free.lean, free.lean])].astype(kind)
-    jacobian = np.concatenate([seen.position.astype(kind) * terms.boundary, design(terms, model, seen), by_widths])
+    by_widths = seen.by_widths[np.array([free.blur, free.line, free.lean, free.lean, free.oval, free.oval])].astype(
+        kind
+    )
+    jacobian = np.concatenate([seen.position.astype(kind) * terms.boundary, design(terms, seen), by_widths])
     jacobian *= root.astype(kind)
     return jacobian, (terms.values - seen.value) * root
 
@@ -198,12 +206,23 @@ def _normal_equations(terms: Terms, model: Model, *, robust: bool) -> tuple[Arra
     varying = varying.astype(np.intp)
     information[varying, varying] += 1 / (_UNEVEN * model.scale) ** 2
     right[varying] -= model.surface[varying - first] / (_UNEVEN * model.scale) ** 2
-    if free.lean:
-        # Perspective is not stronger than this in any rig that sees its spot whole; without a line nothing tells.
-        ends = np.arange(len(right) - 2, len(right))
-        information[ends, ends] += 1 / _LEAN_SIGMA**2
-        right[ends] -= np.array(model.widths.lean) / _LEAN_SIGMA**2
+    for there, value, sigma, places in (
+        (free.lean, model.widths.lean, _LEAN_SIGMA, free.lean_places),
+        (free.oval, model.widths.oval, _OVAL_SIGMA, free.oval_places),
+    ):
+        if there:
+            # Neither is stronger than this where the spot can be measured at all; without a line nothing tells of lean.
+            ends = len(right) + np.array(places)
+            information[ends, ends] += 1 / sigma**2
+            right[ends] -= np.array(value) / sigma**2
     return information, right
+
+
+def _within(pair: tuple[float, float], change: tuple[float, float], most: float) -> tuple[float, float]:
+    """Return a pair changed, but no longer than it may be."""
+    x, y = pair[0] + change[0], pair[1] + change[1]
+    shorter = min(1.0, most / max(float(np.hypot(x, y)), 1e-12))
+    return float(x) * shorter, float(y) * shorter
 
 
 def _moved(model: Model, change: Array) -> tuple[Model, float]:
@@ -220,10 +239,11 @@ def _moved(model: Model, change: Array) -> tuple[Model, float]:
     if model.freedom.line:
         line = max(line + float(np.clip(rates.pop(0), -0.5 * total, total)), 0.0)
     if model.freedom.lean:
-        lean = tuple(float(v) for v in np.clip(np.add(lean, rates), -_MOST_LEAN, _MOST_LEAN))
+        lean = _within(lean, (rates.pop(0), rates.pop(0)), _MOST_LEAN)
+    oval = _within(widths.oval, (rates.pop(0), rates.pop(0)), _MOST_OVAL) if model.freedom.oval else widths.oval
     moved = replace(
         model,
-        widths=Widths(blur, line, (lean[0], lean[1])),
+        widths=Widths(blur, line, lean, oval),
         offset=model.offset + damping * change[:n],
         surface=model.surface + change[n:m],
     )

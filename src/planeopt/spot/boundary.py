@@ -25,6 +25,7 @@ Straighten = Callable[[Array], tuple[Array, Array]]
 
 # Of the ellipse's size: what scatters more is not one, unless all of it is what the noise explains.
 _MAX_SCATTER, _MAX_NOISE, _UNEXPECTED = 0.04, 0.15, 2.0
+_MAX_SIGMA = 0.02  # of the ellipse's size, for that size: beyond, nothing is measured
 _MIN_WIDTHS = 1.5  # of the profile, in half the spot: less never reaches a plateau
 _OWN_ERROR = {"disc": 1.5e-4, "ring": 4e-4}  # px: of the model, on noiseless images; common to all points
 
@@ -120,6 +121,10 @@ def measure_boundary(
     SpotNotFound
         If too little of the boundary can be measured, or it is not an ellipse.
     """
+    if camera_blur is not None and candidate.outline.b < _MIN_WIDTHS * camera_blur:
+        raise SpotNotFound(
+            NoSpotReason.TOO_SMALL, f"It is {2 * candidate.outline.b:.1f} px across, the blur {camera_blur:g} px."
+        )
     view, outline = View.of(grey, candidate)
     start = rough_boundary(view.values, outline, candidate.kind, candidate.line_width)
     state = State.at_start(start, view.kind, noise, camera_blur)
@@ -197,9 +202,12 @@ def _result(
         ambiguity = float(curvature[keep].max()) * fit.fitted.blur_sigma
     else:
         ambiguity = float(curvature[keep].max()) * width**2 / 2
+    sigma = np.hypot(expected[keep] * inflation * shared, _OWN_ERROR[kind] * np.sqrt(keep.sum()))
+    if float(np.median(sigma)) > _MAX_SIGMA * np.sqrt(keep.sum()) * raw.outline.size:
+        raise SpotNotFound(NoSpotReason.NO_BOUNDARY, "Where it is, is hardly known.")
     return Boundary(
         points=points[keep],
-        sigma=np.hypot(expected[keep] * inflation * shared, _OWN_ERROR[kind] * np.sqrt(keep.sum())),
+        sigma=sigma,
         rejected=points[fit.there & ~keep],
         width=width,
         height=height,

@@ -42,6 +42,8 @@ def foreign(band: Band, terms: Terms, model: Model, seen: Seen) -> Mask:
     """
     away = np.abs(terms.u - model.offset @ terms.boundary) > _AWAY * model.widths.mean
     off = np.abs(terms.values - seen.value) / np.sqrt(variance(model, seen))
+    if not off.size:
+        return away
     usual = float(np.median(off)) / _MEDIAN_OF_NORMAL
     far = away & (off > _FOREIGN * usual) & (np.abs(terms.values - seen.value) > GOOD_SEGMENT * model.scale)
     return away & band.widened(far, int(np.ceil(_SKIRT * model.widths.mean))) if far.any() else far

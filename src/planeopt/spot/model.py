@@ -37,20 +37,32 @@ class Widths:
     lean : (float, float)
         By which share the beam's own scale is larger than that of a concentric ellipse, times cosine and sine of the
         eccentric angle: perspective, which makes what is nearer wider.
+    oval : (float, float)
+        By which share the blur's variance is larger across the boundary, times cosine and sine of twice the direction
+        of its normal, and smaller along it: motion, astigmatism.
     """
 
     blur: float
     line: float = 0.0
     lean: tuple[float, float] = (0.0, 0.0)
+    oval: tuple[float, float] = (0.0, 0.0)
 
     @property
     def mean(self) -> float:
         """Standard deviation of the profile, px, where the beam's own scale is the mean one."""
         return float(np.sqrt(self.blur + self.line))
 
-    def total(self, scale: Array) -> Array:
-        """Return the standard deviation (M,), px, where the beam's own scale is `scale` (M,) times the mean."""
-        return np.sqrt(self.blur + self.line * scale**2)
+    def total(self, scale: Array, stretched: Array | float = 0.0) -> Array:
+        """Return the standard deviation (M,), px.
+
+        Parameters
+        ----------
+        scale : (M,) array
+            The beam's own scale over its mean.
+        stretched : (M,) array
+            Share by which the blur's variance is larger across the boundary than on average.
+        """
+        return np.sqrt(self.blur * (1 + stretched) + self.line * scale**2)
 
 
 @dataclass(frozen=True)
@@ -67,7 +79,7 @@ class Freedom:
         Highest multiple of the angle in which they vary besides.
     plateau_slopes, background_slopes : bool
         Whether their slopes across the boundary are free in the waves that an ellipse has.
-    blur, line, lean : bool
+    blur, line, lean, oval : bool
         Whether these parameters of the widths are free.
     """
 
@@ -81,11 +93,22 @@ class Freedom:
     blur: bool
     line: bool
     lean: bool
+    oval: bool
 
     @property
     def background_terms(self) -> int:
         """Number of the background's coefficients: level, polynomial, waves, slopes, in this order."""
         return _count(self.background, self.background_waves, self.background_slopes)
+
+    @property
+    def lean_places(self) -> tuple[int, int]:
+        """Where the two leans are, counted from the end of all parameters."""
+        return (-4, -3) if self.oval else (-2, -1)
+
+    @property
+    def oval_places(self) -> tuple[int, int]:
+        """Where the two of `oval` are, counted from the end of all parameters."""
+        return -2, -1
 
     @property
     def groups(self) -> list[slice]:
@@ -143,6 +166,8 @@ class Terms:
         As in `Band`.
     stretch : (M,) array
         By how much more than on average the beam's own scale is stretched across the boundary.
+    directions : (2, M) array
+        Cosine and sine of twice the direction of the boundary's normal.
     boundary : (n, M) array
         Waves of the boundary's offset.
     ground, top, slope : (n, M) array
@@ -155,6 +180,7 @@ class Terms:
     curvature: Array
     values: Array
     stretch: Array
+    directions: Array
     boundary: Array
     ground: Array
     top: Array
@@ -167,7 +193,10 @@ class Terms:
 
     def single(self) -> "Terms":
         """Return the terms with their matrices in single precision: twice as fast, and far finer than the noise."""
-        matrices = {name: getattr(self, name).astype(np.float32) for name in ("boundary", "ground", "top", "slope")}
+        matrices = {
+            name: getattr(self, name).astype(np.float32)
+            for name in ("directions", "boundary", "ground", "top", "slope")
+        }
         return replace(self, **matrices)
 
 
@@ -186,8 +215,10 @@ class Seen:
         Derivative by the boundary's place, px outwards.
     level, slope : (M,) array
         Of the profile; `slope` inwards, 1/px.
-    by_widths : (4, M) array
-        Derivatives by the variances of blur and line, and by the two leans.
+    smear : (M,) array
+        The slope times the blur's variance across the boundary, px.
+    by_widths : (6, M) array
+        Derivatives by the variances of blur and line, by the two leans, and by the two of `oval`.
     """
 
     value: Array
@@ -196,6 +227,7 @@ class Seen:
     position: Array
     level: Array
     slope: Array
+    smear: Array
     by_widths: Array
 
 
@@ -211,12 +243,19 @@ def terms_of(band: Band, kind: Kind, free: Freedom, widths: Widths) -> Terms:
         curvature=band.curvature,
         values=band.values,
         stretch=stretch,
+        directions=_doubled(band.normals),
         boundary=all_waves[: 2 * free.waves + 1],
         ground=ground,
         top=top,
         slope=slope,
         rest=_remainder(band, kind, widths, stretch),
     )
+
+
+def _doubled(normals: Array) -> Array:
+    """Return cosine and sine (2, M) of twice the direction of unit vectors (M, 2)."""
+    x, y = normals.T
+    return np.stack([x * x - y * y, 2 * x * y])
 
 
 def _surface(band: Band, all_waves: Array, degree: int, highest: int, slopes: bool) -> tuple[Array, Array]:
@@ -233,14 +272,14 @@ def _remainder(band: Band, kind: Kind, widths: Widths, stretch: Array) -> Array:
     blur, line = float(np.sqrt(widths.blur)), float(np.sqrt(widths.line))
     if is_gentle(kind, band.outline, widths.mean):
         return np.zeros(len(band.u))
-    level, _, _ = _profile(kind, band.u, band.curvature, stretch, stretch, widths)
+    level, _, _ = _profile(kind, band.u, band.curvature, stretch, stretch, np.zeros(len(band.u)), widths)
     return rendered(kind, band.outline, blur, line, band.box)[band.rows, band.columns] - level
 
 
 def _profile(
-    kind: Kind, u: Array, curvature: Array, stretch: Array, scale: Array, widths: Widths
+    kind: Kind, u: Array, curvature: Array, stretch: Array, scale: Array, oval: Array, widths: Widths
 ) -> tuple[Array, Array, tuple[Array, Array]]:
-    """Return the profile (M,), its slope inwards, and its derivatives by the variances of the blur and of the line.
+    """Return the profile (M,), its slope inwards, and its derivatives by the width's and by the shift's variance.
 
     Parameters
     ----------
@@ -249,11 +288,13 @@ def _profile(
         By how much more than on average a concentric ellipse's scale is stretched across the boundary.
     scale : (M,) array
         The same for the beam's own.
+    oval : (M,) array
+        Share by which the blur's variance is larger across the boundary, and smaller along it.
     widths : Widths
     """
-    width = widths.total(scale)
+    width = widths.total(scale, oval)
     moved = curved(u, curvature, 1.0)
-    x = u + moved * np.clip(widths.blur, 0.0, width**2)
+    x = u + moved * (widths.blur * (1 - oval))
     level, slope = profile(kind, x, width)
     widening = slope * x / width
     if kind == "ring":
@@ -262,8 +303,7 @@ def _profile(
         peak = stretch / width
         widening = peak * (widening - level / width)
         level, slope = peak * level, peak * slope
-    widening = widening / (2 * width)
-    return level, slope, (widening - slope * moved, widening)
+    return level, slope, (widening / (2 * width), -slope * moved)
 
 
 def see(terms: Terms, model: Model) -> Seen:
@@ -272,13 +312,15 @@ def see(terms: Terms, model: Model) -> Seen:
     u = terms.u - model.offset.astype(kind) @ terms.boundary
     turn = terms.boundary[1:3]
     scale = terms.stretch * (1 + np.array(model.widths.lean, dtype=kind) @ turn)
-    level, slope, (by_blur, by_line) = _profile(model.kind, u, terms.curvature, terms.stretch, scale, model.widths)
+    oval = np.array(model.widths.oval, dtype=kind) @ terms.directions
+    level, slope, (across, along) = _profile(model.kind, u, terms.curvature, terms.stretch, scale, oval, model.widths)
     level = level + terms.rest
     split = model.freedom.background_terms
     ground, top = model.surface[:split].astype(kind), model.surface[split:].astype(kind)
     plateau = top @ terms.top
     # A plateau with a slope, blurred: the product of both, and by Stein's identity blur^2 times the product of slopes.
-    height = plateau * level - (top @ terms.slope) * (model.widths.blur * slope)
+    smear = model.widths.blur * (1 + oval) * slope
+    height = plateau * level - (top @ terms.slope) * smear
     return Seen(
         value=ground @ terms.ground + height,
         height=height,
@@ -286,15 +328,23 @@ def see(terms: Terms, model: Model) -> Seen:
         position=plateau * slope,
         level=level,
         slope=slope,
+        smear=smear,
         by_widths=plateau
-        * np.stack([by_blur, by_line * scale**2, *(by_line * (2 * model.widths.line * scale * terms.stretch) * turn)]),
+        * np.stack(
+            [
+                across * (1 + oval) + along * (1 - oval),
+                across * scale**2,
+                *(across * (2 * model.widths.line * scale * terms.stretch) * turn),
+                *((across - along) * model.widths.blur * terms.directions),
+            ]
+        ),
     )
 
 
-def design(terms: Terms, model: Model, seen: Seen) -> Array:
+def design(terms: Terms, seen: Seen) -> Array:
     """Return the derivatives (n, M) by the coefficients of background and plateau."""
     kind = terms.top.dtype
-    top = terms.top * seen.level.astype(kind) - terms.slope * (model.widths.blur * seen.slope).astype(kind)
+    top = terms.top * seen.level.astype(kind) - terms.slope * seen.smear.astype(kind)
     return np.concatenate([terms.ground, top])
 
 

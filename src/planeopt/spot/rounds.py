@@ -34,6 +34,7 @@ _LAST_ROUNDS = 3  # as long as a segment that was fitted to turns out not to fit
 _LAST_STEPS = 3  # from the solution on some of the pixels, with all of them
 _SETTLED = 0.05  # of the width: an ellipse that moves less is the same
 _SOME = 2500  # pixels: enough for a start
+_FEWEST = 60  # pixels that a spot is told by
 _MOST = 20_000  # pixels that the shared parameters are fitted to
 _WHOLE = 0.85  # of the segments: where fewer are good something hides the others
 _MARGIN, _MARGIN_PX = 0.25, 64  # of the spot's size, and px, that are looked at round it
@@ -84,7 +85,7 @@ class State:
     def at_start(cls, start: Start, kind: Kind, noise: float, camera_blur: float | None) -> "State":
         total = start.width**2
         split = kind == "ring" or camera_blur is not None
-        free = Freedom(0, 0, 0, 0, 0, False, False, camera_blur is None, split, False)
+        free = Freedom(0, 0, 0, 0, 0, False, False, camera_blur is None, split, False, False)
         if camera_blur is not None:
             widths = Widths(camera_blur**2, max(total - camera_blur**2, 0.01))
         else:
@@ -138,6 +139,7 @@ def _improved(view: View, state: State) -> State:
         raise SpotNotFound(NoSpotReason.NOT_AN_ELLIPSE)
     # The law of the noise is that of the good segments: what is not the spot's is no noise.
     inside = fit.usable & fit.good[fit.band.segment]
+    _require_pixels(inside)
     terms = fit.terms.part(inside)
     seen = see(terms, fit.fitted.model)
     law = noise_law(seen, terms.values - seen.value)
@@ -174,6 +176,7 @@ def _attempt(band: Band, terms: Terms, model: Model, good: Mask, *, last: bool) 
     some = _spread(band, good)
     usable = ~band.clipped & unclipped(band.values, model.noise[0]) if band.clipped.any() else ~band.clipped
     robust = not last or good.mean() < _WHOLE
+    _require_pixels(usable & some[band.segment])
     fitted = fit_model(terms.part(usable & some[band.segment]), model, steps=steps, robust=robust)
     value = see(terms, fitted.model)
     # What is left out by what was measured is left out too often where the noise went up.
@@ -182,6 +185,7 @@ def _attempt(band: Band, terms: Terms, model: Model, good: Mask, *, last: bool) 
     alone &= ~(band.clipped & (value.value > band.values))
     if np.any(alone != usable):
         usable = alone
+        _require_pixels(usable & some[band.segment])
         fitted = fit_model(terms.part(usable & some[band.segment]), fitted.model, steps=steps, robust=robust)
     if last:
         fitted = fitted.pruned()
@@ -190,6 +194,11 @@ def _attempt(band: Band, terms: Terms, model: Model, good: Mask, *, last: bool) 
     offset = fitted.model.offset @ waves(segments.theta, fitted.model.freedom.waves) + segments.offset
     feet, normals, _ = band.outline.at(segments.theta)
     return BandFit(band, fitted, terms, usable, segments, feet + normals * offset[:, None], there, good, some)
+
+
+def _require_pixels(use: Mask) -> None:
+    if use.sum() < _FEWEST:
+        raise SpotNotFound(NoSpotReason.NO_BOUNDARY, "Too few pixels show it alone.")
 
 
 def _freedom(state: State, band: Band, good: Mask) -> Freedom:
@@ -217,6 +226,8 @@ def _freedom(state: State, band: Band, good: Mask) -> Freedom:
         blur=was.blur,
         line=was.line,
         lean=was.line and not state.is_first,
+        # A ring's own line varies in nearly the same way.
+        oval=was.blur and not was.line and wide >= _NARROW and not state.is_first,
     )
 
 
