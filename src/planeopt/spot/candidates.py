@@ -34,6 +34,9 @@ _RIVAL = 0.3  # a second find with that share of the best one's strength makes t
 _RIVAL_OF_PART = 0.1  # the same, where the best one is only partly seen
 _PARTIAL = 0.75  # of the boundary
 _CHANCES = 4  # rounds of confirming
+_SUPPORT = 0.6  # of the boundary, where no rig says that it can be a spot,
+_UNEVEN = 0.7  # of the height,
+_LOW = 0.4  # of its edges: what is not brighter than its surroundings by more is a pattern
 _JUDGED = 12  # the best, whose kind and contrast are measured
 
 
@@ -184,14 +187,14 @@ def _compete(
     grey: Grey, levels: list[Level], which: range, box: Box, noise: float, kind: Kind | None, beam: BeamHint
 ) -> tuple[list[Candidate], _Rejected]:
     scale = grey.search_scale
-    floor, threshold = max(_MIN_CONTRAST, noise) * scale, max(_NOISE_FACTOR * noise, _MIN_CONTRAST) * scale
+    floor, threshold = _MIN_CONTRAST * scale, max(_NOISE_FACTOR * noise, _MIN_CONTRAST) * scale
     judged = search(levels, which, floor, threshold, box, beam)
     traced, verdicts = judged.traced, judged.verdicts
     candidates: list[Candidate] = []
     clutter = 0.0
     # What does not hold makes room for what it had kept out.
     for _ in range(_CHANCES):
-        candidates, failed = _confirmed(levels, judged, grey, threshold, kind)
+        candidates, failed = _confirmed(levels, judged, grey, threshold, kind, beam.known)
         if not failed:
             break
         clutter = max(clutter, float(judged.rank[failed].max()))
@@ -215,19 +218,25 @@ def _compete(
 
 
 def _confirmed(
-    levels: list[Level], judged: Judged, grey: Grey, threshold: float, kind: Kind | None
+    levels: list[Level], judged: Judged, grey: Grey, threshold: float, kind: Kind | None, told: bool
 ) -> tuple[list[Candidate], list[int]]:
     """Return the distinct finds that hold when looked at more closely, and the indices of those that do not."""
     candidates, failed = [], []
     for index in _distinct(judged)[:_JUDGED]:
         traced = confirmed(levels, judged.traced[np.array([index])])
-        if verdicts_on(traced, np.zeros(1), threshold)[0] is None:
-            candidates.append(
-                _candidate(look_at(levels, traced.ellipses, kind), traced, float(judged.rank[index]), grey)
-            )
+        look = look_at(levels, traced.ellipses, kind)
+        if verdicts_on(traced, np.zeros(1), threshold)[0] is None and (told or _stands_alone(look, traced)):
+            candidates.append(_candidate(look, traced, float(judged.rank[index]), grey))
         else:
             failed.append(index)
     return candidates, failed
+
+
+def _stands_alone(look: Look, traced: Traced) -> bool:
+    """Return whether it is a spot by its looks alone: in patterns are edges enough for many ellipses."""
+    height = look.high - look.low
+    is_one = height > _LOW * traced.height[0] and look.uneven < _UNEVEN
+    return bool(is_one and traced.support[0] - traced.beyond[0] > _SUPPORT)
 
 
 def _distinct(judged: Judged) -> list[int]:

@@ -87,6 +87,14 @@ def unlike(ellipses: Ellipses, merit: Array, share: float) -> NDArray[np.intp]:
     return np.array(kept, dtype=np.intp)
 
 
+def like(ellipses: Ellipses, others: Ellipses, share: float) -> NDArray[np.bool_]:
+    """Return which (K,) of the ellipses differ by less than a share of their size from one of the others."""
+    size = ellipses.size[:, None]
+    squared, other = (e.shape @ e.shape.transpose(0, 2, 1) for e in (ellipses, others))
+    apart = np.linalg.norm(ellipses.centre[:, None] - others.centre, axis=2) / size
+    return np.any(apart + np.linalg.norm(squared[:, None] - other, axis=(2, 3)) / (2 * size**2) < share, axis=1)
+
+
 def from_outline(outline: Outline) -> Ellipses:
     """Return one ellipse as an array of one."""
     return Ellipses(np.array([[outline.x, outline.y]]), (outline.axes * [outline.a, outline.b])[None])

@@ -38,6 +38,8 @@ class Look:
         Grey values of the plateau (the line) and of the surroundings (of a ring: of the brighter side).
     line_width : float
         Of a ring, at half its height, px.
+    uneven : float
+        By how much the plateau (the line) differs from place to place, over the height.
     """
 
     outline: Outline
@@ -45,6 +47,7 @@ class Look:
     high: float
     low: float
     line_width: float
+    uneven: float
 
 
 def look_at(levels: list[Level], ellipse: Ellipses, told: Kind | None = None) -> Look:
@@ -68,14 +71,22 @@ def look_at(levels: list[Level], ellipse: Ellipses, told: Kind | None = None) ->
         is_ring = ring and (told is None or width < _THIN)
     if not is_ring:
         inside = float(np.median(middle[(rho > 0.5) & (rho < 0.85)]))
-        return Look(ellipse.outline(0), "disc", inside, outside, 0.0)
+        uneven = _spread(grey[(rho > 0.7) & (rho < 0.9)][:, shown]) / max(inside - outside, 1e-9)
+        return Look(ellipse.outline(0), "disc", inside, outside, 0.0, uneven)
     base = max(hole, outside)
     start, end = _highest(rho, middle, base)
+    uneven = _spread(grey[(rho > start) & (rho < end)].max(axis=0, initial=line)[shown]) / max(line - base, 1e-9)
     ring, width = Ellipses(ellipse.centre, ellipse.shape * (start + end) / 2), (end - start) * size
     for level in (levels[index], levels[0]) if index else (levels[0],):
         for _ in range(2):
             ring, width = _onto_line(level, ring, width + level.factor)
-    return Look(ring.outline(0), "ring", line, base, width)
+    return Look(ring.outline(0), "ring", line, base, width, uneven)
+
+
+def _spread(grey: Array) -> float:
+    """Return how far apart the greater part of grey values is; what is dark may be an obstacle."""
+    low, high = np.quantile(grey, [0.4, 0.9])
+    return float(high - low)
 
 
 def _profiles(level: Level, ellipse: Ellipses) -> tuple[Array, Array, Array]:

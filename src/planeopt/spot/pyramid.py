@@ -59,8 +59,8 @@ class Level:
         found = cv2.remap(self.smooth, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.reshape(np.asarray(found, dtype=np.float32).ravel()[: there.size], there.shape), there
 
-    def peaks(self, floor: float, most: int) -> tuple[Array, Array]:
-        """Return the places (N, 2), px of the whole image, that are bright against their surroundings, and how bright.
+    def peaks(self, floor: float, most: int) -> Array:
+        """Return the places (N, 2), px of the whole image, that are bright against their surroundings.
 
         Parameters
         ----------
@@ -72,17 +72,19 @@ class Level:
         inner = cv2.blur(self.image, (_INNER, _INNER))
         response = np.asarray(cv2.subtract(inner, cv2.blur(self.image, (_OUTER, _OUTER))))
         spread = self.noise * np.sqrt(1 / _INNER**2 - 1 / _OUTER**2)
-        threshold = max(floor, _SIGNIFICANT * spread)
+        # Means of integers are rounded, both of them.
+        rounding = 1.0 if response.dtype.kind == "u" else 0.0
+        threshold = max(floor, _SIGNIFICANT * spread) + rounding
         highest = cv2.dilate(response, np.ones((_APART, _APART), np.uint8))
         strong = np.asarray(response >= threshold, dtype=np.uint8)
         mask = cv2.bitwise_and(cv2.compare(response, highest, cv2.CMP_GE), strong)
         found = cv2.findNonZero(mask)
         if found is None:
-            return np.empty((0, 2)), np.empty(0)
+            return np.empty((0, 2))
         places = np.asarray(found, dtype=np.intp).reshape(-1, 2)
         heights = response[places[:, 1], places[:, 0]].astype(np.float64)
         chosen = np.argsort(-heights, kind="stable")[:most]
-        return (places[chosen] + 0.5) * self.factor + self.origin, heights[chosen]
+        return (places[chosen] + 0.5) * self.factor + self.origin
 
 
 def centres(level: Level, floor: float, most: int) -> Array:

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planeopt.spot.ellipses import Ellipses, joined, unlike
+from planeopt.spot.ellipses import joined, like, unlike
 from planeopt.spot.grey import Box
 from planeopt.spot.hints import BeamHint
 from planeopt.spot.points import NoSpotReason
 from planeopt.spot.pyramid import Level, centres
 from planeopt.spot.rays import Seeds, all_seeds, ellipses_through, seeds_at
-from planeopt.spot.trace import Traced, together, trace
+from planeopt.spot.trace import FINE, Traced, together, trace
 
 Array = NDArray[np.floating]
 
@@ -19,13 +19,13 @@ _MIN_SIZE, _MIN_MINOR = 3.6, 2.4  # px: below, background, edge and plateau cann
 _SEEDS, _CENTRES = 120, 16  # of a level
 _COARSE = 2  # levels: half and quarter size come after those
 _LEAST_SHARE, _LARGEST = 0.3, 9.0  # of a spot's height in the response of a level; px of the level
-_BATCH = 12  # seeds that are followed up together
-_ROUNDS = 12  # batches at most
+_BATCHES = 4, 12, 12, 12, 16, 16  # seeds that are followed up together, and no more: that is what time there is
 _WORTH = 0.12  # of the best one's strength: a seed that promises less cannot rival it
 WHOLE = 0.85  # of the boundary
 _VOTED = 150_000  # pixels: on larger levels edges do not vote, which takes long and finds small things
 _AGREE = 0.3  # of the rays
 _ALIKE = 0.1  # of the size: ellipses that differ by less are followed once
+_SAME = 0.05  # of the size: those that start where others started or ended
 _MAX_RATIO = 12.5  # of the semi-axes: a tilt of 85 degrees
 _MIN_SUPPORT = 0.55  # of the boundary
 _MAX_RUNS = 3  # pieces in which it is seen
@@ -103,7 +103,9 @@ class _Search:
         self.levels, self.threshold, self.beam = levels, threshold, beam
         self.everything: list[Judged] = []
         self.best = 0.0
-        self._whole = Ellipses(np.empty((0, 2)), np.empty((0, 2, 2)))
+        image = levels[min(_COARSE, len(levels) - 1)].image
+        self.range = 2 * float(image.max() - image.min())
+        self._whole = self._known = joined([])
 
     def explained(self, places: Array) -> NDArray[np.bool_]:
         """Return which places lie in a spot that is seen nearly whole: they have nothing else to say."""
@@ -116,24 +118,38 @@ class _Search:
         """Follow up seeds, the most promising first."""
         promise = pending.promise
         pending = pending[np.argsort(-promise, kind="stable")]
-        for _ in range(_ROUNDS):
+        for count in _BATCHES:
             pending = pending[pending.promise > max(_WORTH * self.best, 1e-12)]
             if not len(pending):
                 break
-            batch, pending = pending[:_BATCH], pending[_BATCH:]
-            judged = _judge(self.levels, batch, self.threshold, self.beam)
+            batch, pending = pending[:count], pending[count:]
+            judged = self._judge(batch)
             self.everything.append(judged)
             self.best = max(self.best, float(judged.rank.max(initial=0.0)))
             whole = judged.traced.ellipses[(judged.rank > 0) & (judged.seen > WHOLE)]
             self._whole = joined([self._whole, whole[unlike(whole, whole.size, _ALIKE)]])
             pending = pending[~self.explained(pending.place)]
 
+    def _judge(self, seeds: Seeds) -> Judged:
+        ellipses, share, found_at = ellipses_through(seeds)
+        kept = np.flatnonzero((share > _AGREE) & ~like(ellipses, self._known, _SAME))
+        kept = kept[unlike(ellipses[kept], share[kept], _ALIKE)]
+        traced = trace(self.levels, ellipses[kept], found_at[kept])
+        misfit = self.beam.misfit(traced.ellipses)
+        verdicts = verdicts_on(traced, misfit, self.threshold)
+        seen = np.maximum(traced.support - traced.beyond, 0)
+        rank = traced.ellipses.size * np.sqrt(traced.height) * (seen * traced.sharpness) ** 2 / (1 + misfit**2)
+        good = np.array([verdict is None for verdict in verdicts], dtype=bool)
+        self._known = joined([self._known, ellipses[kept], traced.ellipses[good]])
+        return Judged(traced, verdicts, seen, np.where(good, rank, 0))
+
 
 def _seeds(index: int, finest: int, floor: float, box: Box, found: _Search) -> Seeds:
     """Return the places that show at a level and may be in a spot that rivals what was found already."""
     level = found.levels[index]
-    places, heights = level.peaks(floor, _SEEDS)
-    places = places[np.sqrt(heights / _LEAST_SHARE) * _LARGEST * level.factor > _WORTH * found.best]
+    # What is so faint that it cannot rival what was found.
+    floor = max(floor, _LEAST_SHARE * (_WORTH * found.best / (_LARGEST * level.factor)) ** 2)
+    places = level.peaks(floor, _SEEDS) if floor < found.range else np.empty((0, 2))
     if level.image.size < _VOTED:
         places = np.concatenate([places, centres(level, floor, _CENTRES)])
     places = places[_inside(places, box) & found.beam.allows(places) & ~found.explained(places)]
@@ -144,19 +160,6 @@ def _seeds(index: int, finest: int, floor: float, box: Box, found: _Search) -> S
 def _inside(places: Array, box: Box) -> NDArray[np.bool_]:
     x0, y0, x1, y1 = box
     return np.all((places >= [x0 - 0.5, y0 - 0.5]) & (places <= [x1 - 0.5, y1 - 0.5]), axis=1)
-
-
-def _judge(levels: list[Level], seeds: Seeds, threshold: float, beam: BeamHint) -> Judged:
-    ellipses, share, found_at = ellipses_through(seeds)
-    kept = np.flatnonzero(share > _AGREE)
-    kept = kept[unlike(ellipses[kept], share[kept], _ALIKE)]
-    traced = trace(levels, ellipses[kept], found_at[kept])
-    misfit = beam.misfit(traced.ellipses)
-    verdicts = verdicts_on(traced, misfit, threshold)
-    seen = np.maximum(traced.support - traced.beyond, 0)
-    rank = traced.ellipses.size * np.sqrt(traced.height) * (seen * traced.sharpness) ** 2 / (1 + misfit**2)
-    good = np.array([verdict is None for verdict in verdicts], dtype=bool)
-    return Judged(traced, verdicts, seen, np.where(good, rank, 0))
 
 
 def verdicts_on(traced: Traced, misfit: Array, threshold: float) -> list[NoSpotReason | None]:
@@ -173,7 +176,8 @@ def verdicts_on(traced: Traced, misfit: Array, threshold: float) -> list[NoSpotR
     axes = traced.ellipses.semi_axes
     shapeless |= traced.runs > _MAX_RUNS
     shapeless |= axes[:, 0] > _MAX_RATIO * axes[:, 1]
-    faint = traced.height < threshold * 0.5
+    # Large spots are looked at on coarser levels, which have less noise.
+    faint = traced.height < threshold * 0.5 / np.sqrt(np.maximum(traced.ellipses.size / FINE, 1))
     rules = (
         (faint, NoSpotReason.NO_CONTRAST),
         (small, NoSpotReason.TOO_SMALL),
