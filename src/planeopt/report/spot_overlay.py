@@ -31,6 +31,7 @@ _STYLE: dict[Any, Any] = {
     "axes.spines.right": False,
 }
 _SIZE, _DPI = (13.0, 9.2), 100
+_BEYOND_FONT = 0x590
 _MARGIN = 1.3  # half side of the piece of the image that is shown, over the spot's
 _ZOOMED = 9.0  # px: half side of a magnified piece
 _DRAWN = 72  # points at most where all of the spot is seen: more would hide the ellipse and the edge
@@ -97,7 +98,7 @@ def refusal_picture(image: NDArray[Any], reason: str, name: str) -> Figure:
         figure = Figure(figsize=(8.0, 7.0), dpi=_DPI, layout="constrained")
         axes = figure.subplots(2, 1, height_ratios=(6, 1))
         low, high = show(axes[0], image)
-        axes[0].set(title=f"{name}: {_size(image)}; {_shown(low, high)}", xlabel="x (px)", ylabel="y (px)")
+        axes[0].set(title=f"{_drawable(name)}: {_size(image)}; {_shown(low, high)}", xlabel="x (px)", ylabel="y (px)")
         _write(axes[1], ["No spot was measured.", *textwrap.wrap(reason, 100)])
         _settle(figure)
     return figure
@@ -114,11 +115,16 @@ def _bounds(points: NDArray[np.float64]) -> Window:
     return Window(left, top, right, bottom)
 
 
+def _drawable(name: str) -> str:
+    """Return a name in the letters that the figures' font has: Latin, Greek, Cyrillic, Armenian."""
+    return "".join(letter if letter.isprintable() and ord(letter) < _BEYOND_FONT else "?" for letter in name)
+
+
 def _draw_whole(axes: Axes, image: NDArray[Any], window: Window, name: str) -> None:
     show(axes, image)
     corner, width, height = (window.left, window.top), window.right - window.left, window.bottom - window.top
     axes.add_patch(Rectangle(corner, width, height, fill=False, ec=ELLIPSE, lw=1.4))
-    title = "\n".join([textwrap.shorten(name, 50, placeholder="..."), _size(image)])
+    title = "\n".join([textwrap.shorten(_drawable(name), 50, placeholder="..."), _size(image)])
     axes.set(title=title, xlabel="x (px)", ylabel="y (px)")
 
 
