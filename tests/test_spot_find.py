@@ -237,6 +237,25 @@ def test_impossible_hints(hints: dict[str, object], message: str) -> None:
         found(PAIR, **hints)  # pyright: ignore[reportArgumentType] - the mistake that is tested
 
 
+@pytest.mark.parametrize("largest", [1e38, 1e300])
+def test_huge_and_far_negative_floats(largest: float) -> None:
+    image = (0.1 + 0.8 * disc(TRUTH)) * largest
+    image[10:14, 20:30] = -largest
+    assert error(found(image)) < 1.0
+    image[10:14, 20:30] = -1e8 * largest
+    assert error(found(image)) < 1.0
+
+
+def test_a_round_thing_in_front_of_it_is_not_taken_for_it() -> None:
+    clean = found(render(scene()).image)
+    o = clean.outline
+    x, y = (o.normals_at(4)[0][0] + 10).tolist()
+    front = Outline(x, y, o.size, o.size, 0.0)
+    image = noisy(np.where(distances(front) < 0, 90.0, render(scene()).image))
+    candidate = found(image, rig=rig())
+    assert np.hypot(candidate.outline.x - o.x, candidate.outline.y - o.y) < 1.5
+
+
 @pytest.mark.parametrize("inside", [0.8, 0.4])
 def test_cut_by_the_border(inside: float) -> None:
     truth = Outline(SIZE[0] - 0.5 - 50 * inside, 240.0, 50.0, 50.0, 0.0)

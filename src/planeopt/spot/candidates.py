@@ -225,7 +225,7 @@ def _confirmed(
     for index in _distinct(judged)[:_JUDGED]:
         traced = confirmed(levels, judged.traced[np.array([index])])
         look = look_at(levels, traced.ellipses, kind)
-        if verdicts_on(traced, np.zeros(1), threshold)[0] is None and (told or _stands_alone(look, traced)):
+        if verdicts_on(traced, np.zeros(1), threshold, told)[0] is None and (told or _stands_alone(look, traced)):
             candidates.append(_candidate(look, traced, float(judged.rank[index]), grey))
         else:
             failed.append(index)

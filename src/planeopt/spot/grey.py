@@ -115,7 +115,9 @@ class Grey:
             stored = np.arange(int(np.iinfo(part.dtype).max) + 1, dtype=np.float32) / np.float32(self.scale)
             light = (stored ** np.float32(self.gamma))[part]
         else:
-            light = part.astype(np.float32) / np.float32(self.scale)
+            # Floats may exceed single precision before they are divided, and lie below black by any amount.
+            part = part.astype(np.float32) / np.float32(self.scale) if part.dtype.kind == "u" else part / self.scale
+            light = np.maximum(part, -1).astype(np.float32)
             if self.gamma != 1.0:
                 light = np.maximum(light, 0) ** np.float32(self.gamma)
         return light @ _LUMA if light.ndim == 3 else light

@@ -32,6 +32,7 @@ _MAX_RUNS = 3  # pieces in which it is seen
 _SOFT = 0.5  # sharpness: what is softer and cut off has no outline to complete
 _MIN_REST = 0.8  # of the boundary that is on the image, if some of it is not
 _MAX_BEYOND = 0.3  # of the boundary, of what is not seen of it: with more light beyond it, it is not a boundary
+_MOST_BEYOND, _FITS = 0.4, 2.0  # the same for what fits the beam that well: a misfit
 _MOST = 0.8  # of the boundary
 _MAX_OUTSIDE = 0.45  # of the boundary
 _TOUCHING = 0.05  # of the boundary: with less of it off the image it lies inside
@@ -136,8 +137,9 @@ class _Search:
         kept = kept[unlike(ellipses[kept], share[kept], _ALIKE)]
         traced = trace(self.levels, ellipses[kept], found_at[kept])
         misfit = self.beam.misfit(traced.ellipses)
-        verdicts = verdicts_on(traced, misfit, self.threshold)
+        verdicts = verdicts_on(traced, misfit, self.threshold, self.beam.known)
         seen = np.maximum(traced.support - traced.beyond, 0)
+        seen = np.where(self.beam.known & (misfit < _FITS), np.maximum(seen, traced.support / 2), seen)
         rank = traced.ellipses.size * np.sqrt(traced.height) * (seen * traced.sharpness) ** 2 / (1 + misfit**2)
         good = np.array([verdict is None for verdict in verdicts], dtype=bool)
         self._known = joined([self._known, ellipses[kept], traced.ellipses[good]])
@@ -162,17 +164,22 @@ def _inside(places: Array, box: Box) -> NDArray[np.bool_]:
     return np.all((places >= [x0 - 0.5, y0 - 0.5]) & (places <= [x1 - 0.5, y1 - 0.5]), axis=1)
 
 
-def verdicts_on(traced: Traced, misfit: Array, threshold: float) -> list[NoSpotReason | None]:
-    """Return for each ellipse why it is no spot, or None."""
+def verdicts_on(traced: Traced, misfit: Array, threshold: float, told: bool) -> list[NoSpotReason | None]:
+    """Return for each ellipse why it is no spot, or None.
+
+    If a rig has told where it can be, something bright may hide a part of it.
+    """
     small = (traced.ellipses.size < _MIN_SIZE) | (traced.ellipses.semi_axes[:, 1] < _MIN_MINOR)
     # Of what is cut off by the border the rest has to be seen: many ellipses fit to a corner.
     inside = traced.outside < _TOUCHING
     whole = (traced.support > _MIN_REST * (1 - traced.outside)) & (traced.sharpness > _SOFT)
     cut = (traced.outside > _MAX_OUTSIDE) & whole
     least = np.where(inside, _MIN_SUPPORT, 1 - _MAX_OUTSIDE - _TOUCHING)
-    shapeless = (traced.support < least) | (traced.beyond > _MAX_BEYOND) | (~inside & ~whole)
+    hidden = told & (misfit < _FITS)
+    shapeless = (traced.support < least) | (traced.beyond > np.where(hidden, _MOST_BEYOND, _MAX_BEYOND))
+    shapeless |= ~inside & ~whole
     # What hides a part of a spot is seldom as bright as the spot; where edges are everywhere, much is.
-    shapeless |= (traced.support < _MOST) & (traced.beyond > _MAX_BEYOND * (1 - traced.support))
+    shapeless |= ~hidden & (traced.support < _MOST) & (traced.beyond > _MAX_BEYOND * (1 - traced.support))
     axes = traced.ellipses.semi_axes
     shapeless |= traced.runs > _MAX_RUNS
     shapeless |= axes[:, 0] > _MAX_RATIO * axes[:, 1]
