@@ -11,7 +11,7 @@ from planeopt.conic import arc_fraction
 from planeopt.errors import InputError
 from planeopt.rig import Camera, Rig, SpotDefinition
 from planeopt.spot.boundary import Boundary, Straighten, measure_boundary
-from planeopt.spot.candidates import find_candidate, pixel_noise
+from planeopt.spot.candidates import find_candidate, noise_of
 from planeopt.spot.grey import Grey, to_grey
 from planeopt.spot.points import Kind, Spot, SpotFlag
 
@@ -94,7 +94,7 @@ def find_spot(
     grey = to_grey(image, definition.channel, definition.gamma, dark)
     if rig is not None:
         _check_size(grey.shape, rig, source)
-    noise = pixel_noise(grey.values, grey.quantum)
+    noise = noise_of(grey)
     candidate = find_candidate(grey, noise, said, rig=rig, region=region, previous=previous)
     boundary = measure_boundary(
         grey,

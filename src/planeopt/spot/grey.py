@@ -56,6 +56,12 @@ class Grey:
         light = self._linear(self.image[y0:y1, x0:x1])
         return light if self.dark is None else light - self._linear(self.dark[y0:y1, x0:x1])
 
+    def rows(self, count: int) -> NDArray[np.float32]:
+        """Return about so many rows in linear light, evenly spaced."""
+        every = max(1, self.shape[0] // max(count, 1))
+        light = self._linear(self.image[::every])
+        return light if self.dark is None else light - self._linear(self.dark[::every])
+
     def crop_clipped(self, box: Box) -> NDArray[np.bool_] | None:
         """Return which pixels of a part are at full scale, the laser on.
 
@@ -67,6 +73,17 @@ class Grey:
         x0, y0, x1, y1 = box
         clipped = np.asarray(self.image[y0:y1, x0:x1] >= self.scale)
         return np.any(clipped, axis=2) if clipped.ndim == 3 else clipped
+
+    def crop_black(self, box: Box) -> NDArray[np.bool_] | None:
+        """Return which pixels of a part are at nought, where noise may end there.
+
+        ``None`` where it does not: in float images, and less the light without the laser.
+        """
+        if self.image.dtype.kind != "u" or self.dark is not None:
+            return None
+        x0, y0, x1, y1 = box
+        black = self.image[y0:y1, x0:x1] == 0
+        return black.any(axis=2) if black.ndim == 3 else black
 
     @cached_property
     def values(self) -> NDArray[np.float32]:

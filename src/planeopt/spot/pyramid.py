@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from planeopt.spot.grey import Grey
+
 Array = NDArray[np.floating]
 
 _INNER, _OUTER = 5, 17  # px of a level: the boxes whose means are compared, for spots of 3 to 8 px
@@ -115,6 +117,11 @@ def centres(level: Level, floor: float, most: int) -> Array:
     rows, columns = np.nonzero(top)
     chosen = np.argsort(-smooth[rows, columns], kind="stable")[:most]
     return (np.stack([columns, rows], axis=1)[chosen] + 0.5) * level.factor + level.origin
+
+
+def noise_of(grey: Grey) -> float:
+    """Return the standard deviation of a pixel's noise, share of full scale, from as many rows as say enough."""
+    return pixel_noise(grey.rows(_NOISE_SAMPLE // grey.shape[1] + 1), grey.quantum)
 
 
 def pixel_noise(values: NDArray[Any], quantum: float = 0.0) -> float:
