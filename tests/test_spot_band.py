@@ -27,7 +27,7 @@ FREE = {
 
 def band(outline: Outline = OUTLINE, values: Array | None = None) -> Band:
     image = np.zeros((110, 120)) if values is None else values
-    return band_round(image.astype(np.float32), None, outline, 12.0, 9.0)
+    return band_round(image.astype(np.float32), None, None, outline, 12.0, 9.0)
 
 
 def model(kind: Kind, seed: int = 0) -> Model:
@@ -220,7 +220,7 @@ def test_a_band_holds_all_pixels_within_its_reach() -> None:
         assert abs(len(found.u) - int(((u >= -12) & (u <= 9)).sum())) <= 3
         assert found.segment.min() == 0
         assert found.segment.max() == found.count - 1
-        some = band_round(np.zeros((110, 120), np.float32), None, outline, 12.0, 9.0, most=len(found.u) // 3)
+        some = band_round(np.zeros((110, 120), np.float32), None, None, outline, 12.0, 9.0, most=len(found.u) // 3)
         assert 0.1 < len(some.u) / len(found.u) < 0.5
         assert set(np.unique(some.segment)) <= set(np.flatnonzero(some.chosen))
 

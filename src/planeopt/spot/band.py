@@ -12,6 +12,7 @@ from planeopt.spot.points import NoSpotReason, SpotNotFound
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+_BLACK = 0.02  # of the pixels at nought: with fewer noise hardly ends there
 _RUN = 12  # segments side by side, where not all are taken
 _MAX_SEGMENTS = 3000  # of a perimeter beyond that, each is longer than a pixel
 
@@ -30,8 +31,8 @@ class Band:
         Places within the box.
     values : (M,) array
         Grey values.
-    clipped : (M,) bool array
-        At full scale.
+    clipped, black : (M,) bool array
+        At full scale; at nought, where that many are that noise ends there.
     u : (M,) array
         Distance from the ellipse, px, positive outside.
     theta : (M,) array
@@ -54,6 +55,7 @@ class Band:
     columns: NDArray[np.intp]
     values: Array
     clipped: Mask
+    black: Mask
     u: Array
     theta: Array
     normals: Array
@@ -71,6 +73,7 @@ class Band:
             self.columns[keep],
             self.values[keep],
             self.clipped[keep],
+            self.black[keep],
             self.u[keep],
             self.theta[keep],
             self.normals[keep],
@@ -99,6 +102,7 @@ class Band:
 def band_round(
     values: NDArray[np.float32],
     clipped: Mask | None,
+    black: Mask | None,
     outline: Outline,
     inner: float,
     outer: float,
@@ -134,7 +138,11 @@ def band_round(
     rows, columns, u, theta, segment = rows[keep], columns[keep], u[keep], theta[keep], segment[keep]
     _, normals, curvature = outline.at(theta)
     part = values[y0:y1, x0:x1]
-    full = np.zeros(len(rows), dtype=np.bool_) if clipped is None else clipped[y0:y1, x0:x1][rows, columns]
+    nothing = np.zeros(len(rows), dtype=np.bool_)
+    full = nothing if clipped is None else clipped[y0:y1, x0:x1][rows, columns]
+    dark = nothing if black is None else black[y0:y1, x0:x1][rows, columns]
+    if dark.mean() < _BLACK:
+        dark = nothing
     return Band(
         outline,
         (x0, y0, x1, y1),
@@ -142,6 +150,7 @@ def band_round(
         columns,
         part[rows, columns].astype(np.float64),
         full,
+        dark,
         u,
         theta,
         normals,

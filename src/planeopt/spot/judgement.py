@@ -26,12 +26,27 @@ _BAD_SEGMENT = 6.0  # standard deviations of the segments' misfit
 _QUANTILES = (0.05, 0.3)  # from which these are told
 _MIN_INFORMATION = 10.0  # times the usual variance: beyond, a segment shows no edge
 _MIN_SHARE = 0.35  # of the boundary: a shorter arc hardly holds an ellipse
-_CLIP = 1.5  # standard deviations below full scale: from there on the mean is lower by more than 3 % of one
+_CLIP = 1.5  # standard deviations from full scale or black: nearer, clipping moves the mean by more than 3 % of one
+_MOST_BLACK = 0.15  # of the plateau's height: more of the edge is not given away
 
 
-def unclipped(value: Array, noise: float) -> Mask:
-    """Return which pixels (M,) clipping leaves alone, where `value` (M,) is what they should be."""
-    return value < 1.0 - _CLIP * np.sqrt(noise)
+def unclipped(band: Band, value: Array, model: Model, *, measured: bool) -> Mask:
+    """Return which pixels (M,) clipping leaves alone, where `value` (M,) is what they should be.
+
+    At full scale where any is there, and at black where many are; not at black where `value` is what was `measured`:
+    of a background that noise alone lifts from it, what is lifted most would be left.
+    """
+    alone = np.ones(len(value), dtype=np.bool_)
+    read, shot, speckle = model.noise.tolist()
+    if band.clipped.any():
+        top = read + shot * model.scale + speckle * model.scale**2
+        alone &= value < 1.0 - _CLIP * np.sqrt(top)
+    if band.black.any() and not measured:
+        # Of the noise at black half is cut off: that half-way up tells it.
+        half = model.scale / 2
+        noise = np.sqrt(read + shot * half + speckle * half**2)
+        alone &= value > min(_CLIP * float(noise), _MOST_BLACK * model.scale)
+    return alone
 
 
 def foreign(band: Band, terms: Terms, model: Model, seen: Seen) -> Mask:

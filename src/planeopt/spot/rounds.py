@@ -51,6 +51,7 @@ class View:
 
     values: NDArray[np.float32]
     clipped: Mask | None
+    black: Mask | None
     kind: Kind
     origin: Array
 
@@ -64,7 +65,7 @@ class View:
         if np.any(high - low < 4):
             raise SpotNotFound(NoSpotReason.TOUCHES_BORDER)
         box = (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
-        view = cls(grey.crop(box), grey.crop_clipped(box), candidate.kind, low.astype(np.float64))
+        view = cls(grey.crop(box), grey.crop_clipped(box), grey.crop_black(box), candidate.kind, low.astype(np.float64))
         return view, e.moved(-view.origin)
 
 
@@ -155,7 +156,7 @@ def _fit(view: View, state: State, *, last: bool) -> BandFit:
     outer = 4 * state.model.widths.mean + 3
     # The plateau's slope needs a longer lever inside than the background does outside.
     inner = outer + 2 if view.kind == "disc" else outer
-    band = band_round(view.values, view.clipped, state.outline, inner, outer, most=None if last else _SOME)
+    band = band_round(view.values, view.clipped, view.black, state.outline, inner, outer, most=None if last else _SOME)
     good = state.good_of(band.count)
     require_share(good)
     free = _freedom(state, band, good)
@@ -174,13 +175,13 @@ def _attempt(band: Band, terms: Terms, model: Model, good: Mask, *, last: bool) 
     """Fit to the good segments (S,), and judge all of them by the result."""
     first, steps = len(model.surface) == 1, _LAST_STEPS if last else _STEPS
     some = _spread(band, good)
-    usable = ~band.clipped & unclipped(band.values, model.noise[0]) if band.clipped.any() else ~band.clipped
+    usable = ~band.clipped & unclipped(band, band.values, model, measured=True)
     robust = not last or good.mean() < _WHOLE
     _require_pixels(usable & some[band.segment])
     fitted = fit_model(terms.part(usable & some[band.segment]), model, steps=steps, robust=robust)
     value = see(terms, fitted.model)
     # What is left out by what was measured is left out too often where the noise went up.
-    alone = unclipped(value.value, fitted.model.noise.sum()) & ~foreign(band, terms, fitted.model, value)
+    alone = unclipped(band, value.value, fitted.model, measured=False) & ~foreign(band, terms, fitted.model, value)
     # Less the light without the laser, full scale is lower: there the pixel itself says so.
     alone &= ~(band.clipped & (value.value > band.values))
     if np.any(alone != usable):
