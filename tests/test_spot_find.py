@@ -60,7 +60,7 @@ def refusal(image: NDArray[np.generic], **hints: object) -> NoSpotReason:
 
 
 def error(candidate: Candidate, truth: Outline = TRUTH) -> float:
-    return float(np.abs(candidate.outline.distances(truth.normals_at(100)[0])).max())
+    return float(np.abs(candidate.outline.distances(truth.at(truth.spaced(100))[0])).max())
 
 
 def speckled(light: Array, seed: int) -> Array:
@@ -165,7 +165,7 @@ def test_a_soft_spot_alone_is_found() -> None:
 
 
 def test_something_brighter_touches_it() -> None:
-    x, y = TRUTH.normals_at(8)[0][1]
+    x, y = TRUTH.at(TRUTH.spaced(8))[0][1]
     rectangle = (np.abs(X - x) < 18) & (np.abs(Y - y) < 12)
     assert error(found(noisy(np.where(rectangle, 250.0, 20 + 120 * disc(TRUTH))))) < 1.0
 
@@ -206,7 +206,7 @@ def test_two_are_ambiguous_without_a_hint() -> None:
     assert refusal(PAIR) is NoSpotReason.SEVERAL
     assert error(found(PAIR, region=(0, 0, 300, 480)), LEFT) < 1.0
     assert error(found(PAIR, region=(300, 0, 640, 480)), RIGHT) < 1.0
-    for previous in ((465.0, 275.0), RIGHT.normals_at(20)[0] + 6):
+    for previous in ((465.0, 275.0), RIGHT.at(RIGHT.spaced(20))[0] + 6):
         assert error(found(PAIR, previous=previous), RIGHT) < 1.0
     # Not where it was before: looked for everywhere.
     assert error(found(noisy(20 + 150 * disc(LEFT)), previous=(600.0, 440.0)), LEFT) < 1.0
@@ -249,7 +249,7 @@ def test_huge_and_far_negative_floats(largest: float) -> None:
 def test_a_round_thing_in_front_of_it_is_not_taken_for_it() -> None:
     clean = found(render(scene()).image)
     o = clean.outline
-    x, y = (o.normals_at(4)[0][0] + 10).tolist()
+    x, y = (o.at(o.spaced(4))[0][0] + 10).tolist()
     front = Outline(x, y, o.size, o.size, 0.0)
     image = noisy(np.where(distances(front) < 0, 90.0, render(scene()).image))
     candidate = found(image, rig=rig())

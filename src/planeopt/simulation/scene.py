@@ -1,16 +1,13 @@
 """A scene: a rig before a plane, and all that shapes the image of the spot."""
 
 import math
-from typing import Annotated, Any
+from typing import Any
 
 import msgspec
-from msgspec import Meta
 
 from planeopt.plane import Plane, SpotPose
 from planeopt.rig import Rig
 from planeopt.simulation.tables import BeamProfile, Clutter, Noise, Occlusion, Optics, Sensor, Surface, Sweep
-
-Count = Annotated[int, Meta(ge=1, le=1_000_000)]
 
 
 class Scene(msgspec.Struct, frozen=True, kw_only=True):

@@ -15,6 +15,8 @@ from planeopt.errors import InputError
 Share = Annotated[float, Meta(ge=0, le=1)]
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
+# Of anything that is laid over the image: a filter beyond takes more memory than there is.
+Pixels = Annotated[float, Meta(ge=0, le=1000)]
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
 Range = tuple[float, float]
@@ -117,7 +119,7 @@ class BeamProfile(Table, frozen=True):
     key: ClassVar[str] = "beam"
 
     kind: BeamKind = "disc"
-    height: Positive = 0.6
+    height: Annotated[float, Meta(gt=0, le=1000)] = 0.6
     edge_mm: NotNegative = 0.0
     line_mm: Positive = 0.3
     level: Annotated[float, Meta(gt=0, lt=1)] = 0.5
@@ -153,9 +155,9 @@ class Optics(Table, frozen=True):
 
     key: ClassVar[str] = "optics"
 
-    blur_px: Annotated[float, Meta(ge=0.2)] = 1.0
+    blur_px: Annotated[float, Meta(ge=0.2, le=50)] = 1.0
     halo: Share = 0.0
-    halo_px: Annotated[float, Meta(ge=1)] = 30.0
+    halo_px: Annotated[float, Meta(ge=1, le=1000)] = 30.0
     vignetting: Share = 0.0
 
 
@@ -179,10 +181,10 @@ class Surface(Table, frozen=True):
 
     key: ClassVar[str] = "surface"
 
-    background: NotNegative = 0.08
+    background: Annotated[float, Meta(ge=0, le=1000)] = 0.08
     gradient: Pair = (0.0, 0.0)
-    texture: NotNegative = 0.0
-    texture_px: NotNegative = 3.0
+    texture: Annotated[float, Meta(ge=0, le=10)] = 0.0
+    texture_px: Pixels = 3.0
     rgb: Triple = (1.0, 1.0, 1.0)
 
 
@@ -205,9 +207,9 @@ class Noise(Table, frozen=True):
     key: ClassVar[str] = "noise"
 
     speckle: Share = 0.0
-    speckle_grain_px: NotNegative = 1.2
+    speckle_grain_px: Pixels = 1.2
     full_well_electrons: NotNegative | None = 10000.0
-    read: NotNegative = 0.002
+    read: Share = 0.002
 
 
 class Sensor(Table, frozen=True):

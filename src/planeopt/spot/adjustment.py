@@ -176,12 +176,12 @@ def fit_model(terms: Terms, model: Model, *, steps: int, robust: bool) -> Fitted
 def whitened(terms: Terms, model: Model, seen: Seen) -> tuple[Array, Array]:
     """Return the derivatives (n, M) of the pixels by all free parameters, and the residuals (M,), over their noise."""
     free, root = model.freedom, 1 / np.sqrt(variance(model, seen))
-    kind = terms.ground.dtype
+    dtype = terms.ground.dtype
     by_widths = seen.by_widths[np.array([free.blur, free.line, free.lean, free.lean, free.oval, free.oval])].astype(
-        kind
+        dtype
     )
-    jacobian = np.concatenate([seen.position.astype(kind) * terms.boundary, design(terms, seen), by_widths])
-    jacobian *= root.astype(kind)
+    jacobian = np.concatenate([seen.position.astype(dtype) * terms.boundary, design(terms, seen), by_widths])
+    jacobian *= root.astype(dtype)
     return jacobian, (terms.values - seen.value) * root
 
 

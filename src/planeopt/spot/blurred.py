@@ -2,7 +2,7 @@
 
 Along a straight boundary it is an error function (a Gaussian). A curved one adds a shift, which is known to second
 order (`curved`), and where the curvature is strong against the blur, a remainder that is computed by rendering the
-ellipse (`remainder`).
+ellipse (`rendered`).
 """
 
 import cv2

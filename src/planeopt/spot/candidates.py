@@ -28,6 +28,7 @@ _LARGE = 4_000_000  # pixels: in larger images the smallest spots are looked for
 _NOISE_FACTOR = 3.0  # an edge has to be that many standard deviations of a pixel's noise
 _DARK = 0.02  # of full scale
 _MIN_CONTRAST = 0.004  # of full scale: one grey value of 8 bits
+_LEAST_STEPS = 4  # grey values
 _OVERLAP = 0.4  # of the size, and of the boundary: ellipses whose centres are closer, or that share more, are one thing
 _AROUND = 48  # points
 _RIVAL = 0.3  # a second find with that share of the best one's strength makes the choice a guess
@@ -187,7 +188,9 @@ def _compete(
     grey: Grey, levels: list[Level], which: range, box: Box, noise: float, kind: Kind | None, beam: BeamHint
 ) -> tuple[list[Candidate], _Rejected]:
     scale = grey.search_scale
-    floor, threshold = _MIN_CONTRAST * scale, max(_NOISE_FACTOR * noise, _MIN_CONTRAST) * scale
+    # Of a camera with fewer bits than its file, full scale says little.
+    least = min(_MIN_CONTRAST, _LEAST_STEPS * grey.quantum) if grey.quantum else _MIN_CONTRAST
+    floor, threshold = least * scale, max(_NOISE_FACTOR * noise, least) * scale
     judged = search(levels, which, floor, threshold, box, beam)
     traced, verdicts = judged.traced, judged.verdicts
     candidates: list[Candidate] = []

@@ -308,15 +308,15 @@ def _profile(
 
 def see(terms: Terms, model: Model) -> Seen:
     """Return the model in the pixels of some terms."""
-    kind = terms.ground.dtype
-    u = terms.u - model.offset.astype(kind) @ terms.boundary
+    dtype = terms.ground.dtype
+    u = terms.u - model.offset.astype(dtype) @ terms.boundary
     turn = terms.boundary[1:3]
-    scale = terms.stretch * (1 + np.array(model.widths.lean, dtype=kind) @ turn)
-    oval = np.array(model.widths.oval, dtype=kind) @ terms.directions
+    scale = terms.stretch * (1 + np.array(model.widths.lean, dtype=dtype) @ turn)
+    oval = np.array(model.widths.oval, dtype=dtype) @ terms.directions
     level, slope, (across, along) = _profile(model.kind, u, terms.curvature, terms.stretch, scale, oval, model.widths)
     level = level + terms.rest
     split = model.freedom.background_terms
-    ground, top = model.surface[:split].astype(kind), model.surface[split:].astype(kind)
+    ground, top = model.surface[:split].astype(dtype), model.surface[split:].astype(dtype)
     plateau = top @ terms.top
     # A plateau with a slope, blurred: the product of both, and by Stein's identity blur^2 times the product of slopes.
     smear = model.widths.blur * (1 + oval) * slope
@@ -343,8 +343,8 @@ def see(terms: Terms, model: Model) -> Seen:
 
 def design(terms: Terms, seen: Seen) -> Array:
     """Return the derivatives (n, M) by the coefficients of background and plateau."""
-    kind = terms.top.dtype
-    top = terms.top * seen.level.astype(kind) - terms.slope * seen.smear.astype(kind)
+    dtype = terms.top.dtype
+    top = terms.top * seen.level.astype(dtype) - terms.slope * seen.smear.astype(dtype)
     return np.concatenate([terms.ground, top])
 
 

@@ -105,10 +105,6 @@ class Outline:
         angle = np.arctan2(np.copysign(s, local[:, 1]), np.copysign(c, local[:, 0]))
         return np.where(outside, distance, -distance), angle
 
-    def normals_at(self, count: int) -> tuple[Array, Array, Array]:
-        """Return points (N, 2) evenly spaced along the boundary, outward normals (N, 2) and curvatures (N,), 1/px."""
-        return self.at(self.spaced(count))
-
     def spaced(self, count: int) -> Array:
         """Return the eccentric angles (N,) of points evenly spaced along the boundary, from 0 to 2 pi."""
         fine, length = self._arc(8 * count)
@@ -139,13 +135,6 @@ class Outline:
         """Perimeter, px (Ramanujan's second approximation; exact to 1e-4 down to an axis ratio of 0.05)."""
         h = ((self.a - self.b) / (self.a + self.b)) ** 2
         return float(np.pi * (self.a + self.b) * (1 + 3 * h / (10 + np.sqrt(4 - 3 * h))))
-
-
-def from_moments(mean: Array, covariance: Array) -> Outline:
-    """Return the ellipse whose filled area has this mean (2,) and covariance (2, 2)."""
-    values, vectors = np.linalg.eigh(covariance)
-    b, a = 2 * np.sqrt(np.maximum(values, 0))
-    return Outline(float(mean[0]), float(mean[1]), float(a), float(b), float(np.arctan2(vectors[1, 1], vectors[0, 1])))
 
 
 def fit(points: Array, sigma: Array, start: Outline | None = None, turns: int = 3) -> Outline | None:
