@@ -49,7 +49,7 @@ def boundary_figure(rows: Sequence[CellRow]) -> Figure:
         for axes in (points, shape, own):
             axes.axhline(1.0, color="black", lw=0.8, zorder=0)
             axes.set_yscale("log")
-            axes.yaxis.set_major_locator(FixedLocator([0.1, 0.2, 0.5, 1, 1.5, 2, 3, 5, 10, 20, 50]))
+            axes.yaxis.set_major_locator(FixedLocator([0.1, 0.2, 0.5, 1, 1.2, 1.5, 2, 3, 5, 10, 20, 50]))
             axes.yaxis.set_major_formatter("{x:g}")
             axes.yaxis.set_minor_locator(NullLocator())
         for axes in (points, shape):
