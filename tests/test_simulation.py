@@ -98,8 +98,8 @@ def edge_pixels(scene: Scene) -> np.ndarray:
             BeamProfile(height=1, kind="ring", line_mm=0.15),
             lambda _, rho, r: np.exp(-0.5 * ((rho - 1) * r / 0.15) ** 2),
         ),
-        (BeamProfile(height=1, kind="gaussian", level=0.2), lambda _, rho, r: 0.2 ** (rho**2)),  # noqa: ARG005
-        (BeamProfile(height=1, kind="gaussian", order=8), lambda _, rho, r: 0.5 ** (rho**8)),  # noqa: ARG005
+        (BeamProfile(height=1, kind="gaussian", level=0.2), lambda _, rho, r: 0.2 ** (rho**2)),  # noqa: ARG005 - one signature for all
+        (BeamProfile(height=1, kind="gaussian", order=8), lambda _, rho, r: 0.5 ** (rho**8)),  # noqa: ARG005 - the same
         (
             BeamProfile(height=1, edge_mm=0.3, slope=(0.2, -0.1), bowl=-0.2),
             lambda xi, rho, r: ndtr((1 - rho) * r / 0.3) * (1 + xi @ [0.2, -0.1] - 0.2 * rho**2),
