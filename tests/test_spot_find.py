@@ -13,10 +13,11 @@ from planeopt.plane import SpotPose
 from planeopt.rig import Beam, Camera, Rig, load_rig
 from planeopt.simulation import Clutter, Scene, Sensor, render
 from planeopt.spot import NoSpotReason, SpotNotFound, read_image
-from planeopt.spot.candidates import Candidate, find_candidate, pixel_noise
+from planeopt.spot.candidates import Candidate, find_candidate
 from planeopt.spot.grey import to_grey
 from planeopt.spot.outline import Outline
 from planeopt.spot.points import Kind
+from planeopt.spot.pyramid import pixel_noise
 
 Array = NDArray[np.float64]
 EXAMPLE = Path(__file__).parents[1] / "calibration" / "example"

@@ -8,12 +8,11 @@ from hypothesis import strategies as st
 from planeopt.errors import InputError
 from planeopt.plane import SpotPose
 from planeopt.rig import Beam, Camera, Rig, silhouette
-from planeopt.spot.candidates import pixel_noise
 from planeopt.spot.ellipses import Ellipses, from_outline, unlike
 from planeopt.spot.grey import to_grey
 from planeopt.spot.hints import BeamHint, region_box
 from planeopt.spot.outline import Outline
-from planeopt.spot.pyramid import pyramid
+from planeopt.spot.pyramid import pixel_noise, pyramid
 
 CAMERA = Camera((1200, 900), 2000, 1990, 610, 440, (-0.15, 0.08, 5e-4, -3e-4, 0))
 RIG = Rig(CAMERA, Beam(6.0, (21.0, 16.0), (0.02, -0.01, float(np.sqrt(1 - 0.02**2 - 0.01**2)))))

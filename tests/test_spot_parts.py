@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 
 from planeopt.errors import InputError
-from planeopt.spot.candidates import pixel_noise
 from planeopt.spot.grey import to_grey
 from planeopt.spot.outline import Outline, fit
 from planeopt.spot.profiles import half_level_crossings, ridge_peaks
+from planeopt.spot.pyramid import pixel_noise
 from planeopt.spot.scatter import Scatter, inflation_of, scatter_about_ellipse
 
 

@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from planeopt.spot.model import N_ELLIPSE, Model, Seen, Terms, Widths, design, see, variance
+from planeopt.spot.robust import MEDIAN_OF_NORMAL, deviation
 
 Array = NDArray[np.float64]
 
 _LEAST_VARIANCE = 0.04  # px^2: a pixel alone blurs more
 _SHARE, _SHARE_SIGMA = 0.5, 0.3  # of a ring's width that is blur, where the picture does not tell: anything from 0 to 1
 _CHANCE = 0.02  # with which a variation that is not there is taken for one
-_MEDIAN_OF_NORMAL = 0.6745  # of a standard normal variable's size
-_MEDIAN_OF_SQUARE = _MEDIAN_OF_NORMAL**2
 _FAR = 2.5  # usual residuals, where a pixel counts half
 _LEAN_SIGMA, _MOST_LEAN = 0.3, 0.6
 _OVAL_SIGMA, _MOST_OVAL = 0.5, 0.9
@@ -39,7 +38,7 @@ def noise_law(seen: Seen, residual: Array) -> Array:
     """
     classes = np.array_split(np.argsort(seen.height), _CLASSES)
     height = np.maximum(np.array([seen.height[members].mean() for members in classes]), 0.0)
-    mean = np.array([np.median(residual[members] ** 2) for members in classes]) / _MEDIAN_OF_SQUARE
+    mean = np.array([np.median(residual[members] ** 2) for members in classes]) / MEDIAN_OF_NORMAL**2
     mean = np.maximum(mean, max(1e-4 * float(mean.max()), 1e-14))
     basis = np.stack([np.ones_like(height), height, height**2], axis=1)
     expected, law = mean, np.zeros(3)
@@ -189,7 +188,7 @@ def _normal_equations(terms: Terms, model: Model, *, robust: bool) -> tuple[Arra
     free = model.freedom
     jacobian, residual = whitened(terms, model, see(terms, model))
     if robust:
-        usual = float(np.median(np.abs(residual))) / _MEDIAN_OF_NORMAL
+        usual = deviation(residual)
         weight = 1 / np.hypot(1.0, residual / max(_FAR * usual, 1e-12))
         jacobian, residual = jacobian * weight.astype(jacobian.dtype), residual * weight
     information = (jacobian @ jacobian.T).astype(np.float64)

@@ -13,11 +13,9 @@ from planeopt.spot.hints import BeamHint, box_of_previous, region_box
 from planeopt.spot.lines import Look, look_at
 from planeopt.spot.outline import Outline
 from planeopt.spot.points import Kind, NoSpotReason, Spot, SpotNotFound
-from planeopt.spot.pyramid import Level, noise_of, pixel_noise, pyramid
+from planeopt.spot.pyramid import Level, pyramid
 from planeopt.spot.search import WHOLE, Judged, search, verdicts_on
 from planeopt.spot.trace import Traced, confirmed
-
-__all__ = ["Candidate", "find_candidate", "noise_of", "pixel_noise"]
 
 Array = NDArray[np.floating]
 

@@ -11,9 +11,10 @@ from planeopt.conic import arc_fraction
 from planeopt.errors import InputError
 from planeopt.rig import Camera, Rig, SpotDefinition
 from planeopt.spot.boundary import Boundary, Straighten, measure_boundary
-from planeopt.spot.candidates import find_candidate, noise_of
+from planeopt.spot.candidates import find_candidate
 from planeopt.spot.grey import Grey, to_grey
 from planeopt.spot.points import Kind, Spot, SpotFlag
+from planeopt.spot.pyramid import noise_of
 
 _log = logging.getLogger(__name__)
 

@@ -7,6 +7,7 @@ from scipy.special import ndtri
 from planeopt.spot.band import Band
 from planeopt.spot.model import Model, Seen, Terms, variance
 from planeopt.spot.points import NoSpotReason, SpotNotFound
+from planeopt.spot.robust import deviation
 from planeopt.spot.segments import Segments
 
 Array = NDArray[np.float64]
@@ -21,7 +22,6 @@ GOOD_START = 0.1
 _FOREIGN = 6.0  # usual residuals, from which a pixel is no plateau or background
 _SKIRT = 2.0  # widths round it, in which the blurred border of what is there still tells
 _AWAY = 2.5  # widths from the edge, where there is nothing but these
-_MEDIAN_OF_NORMAL = 0.6745  # of a standard normal variable's size
 _BAD_SEGMENT = 6.0  # standard deviations of the segments' misfit
 _QUANTILES = (0.05, 0.3)  # from which these are told
 _MIN_INFORMATION = 10.0  # times the usual variance: beyond, a segment shows no edge
@@ -59,7 +59,7 @@ def foreign(band: Band, terms: Terms, model: Model, seen: Seen) -> Mask:
     off = np.abs(terms.values - seen.value) / np.sqrt(variance(model, seen))
     if not off.size:
         return away
-    usual = float(np.median(off)) / _MEDIAN_OF_NORMAL
+    usual = deviation(off)
     far = away & (off > _FOREIGN * usual) & (np.abs(terms.values - seen.value) > GOOD_SEGMENT * model.scale)
     return away & band.widened(far, int(np.ceil(_SKIRT * model.widths.mean))) if far.any() else far
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from planeopt.spot.outline import Outline, fit
 from planeopt.spot.points import Kind, NoSpotReason, SpotNotFound
+from planeopt.spot.robust import deviation
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -108,7 +109,7 @@ def _robust_ellipse(feet: Array, normals: Array, position: Array, height: Array,
             raise SpotNotFound(NoSpotReason.NOT_AN_ELLIPSE)
         off = current.distances(points)
     assert current is not None  # the loop has run
-    scale = max(float(np.median(np.abs(off))) / 0.6745, 0.1)
+    scale = max(deviation(off), 0.1)
     seen = np.zeros(len(there), dtype=np.bool_)
     seen[np.flatnonzero(there)[np.abs(off) < _NEAR * scale + (0.0 if last else 1.0)]] = True
     return current, seen

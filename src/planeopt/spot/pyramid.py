@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planeopt.spot.grey import Grey
+from planeopt.spot.robust import MEDIAN_OF_NORMAL
 
 Array = NDArray[np.floating]
 
@@ -139,7 +140,7 @@ def pixel_noise(values: NDArray[Any], quantum: float = 0.0) -> float:
     step = max(1, values.size // _NOISE_SAMPLE)
     sample = values[::step].astype(np.float32)
     second = np.abs(sample[:, :-2] - 2 * sample[:, 1:-1] + sample[:, 2:])
-    return _median(second, quantum) / (0.6745 * np.sqrt(6.0)) if second.size else 0.0
+    return _median(second, quantum) / (MEDIAN_OF_NORMAL * np.sqrt(6.0)) if second.size else 0.0
 
 
 def _median(values: NDArray[np.float32], quantum: float) -> float:

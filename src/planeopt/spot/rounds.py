@@ -163,22 +163,28 @@ def _fit(view: View, state: State, *, last: bool) -> BandFit:
     # The waves start anew: the ellipse has taken up what it could of them.
     model = replace(state.model, freedom=free, offset=np.zeros(2 * free.waves + 1))
     terms = terms_of(band, view.kind, free, model.widths).single()
-    fit = _attempt(band, terms, model, good, last=last)
+    enough = GOOD_START if state.is_first else GOOD_SEGMENT
+    fit = _attempt(band, terms, model, good, enough, last=last)
     for _ in range(_LAST_ROUNDS - 1 if last else 0):
         if not np.any(fit.some & ~fit.good):
             break
-        fit = _attempt(band, terms, model, fit.good, last=last)
+        fit = _attempt(band, terms, model, fit.good, enough, last=last)
     return fit
 
 
-def _attempt(band: Band, terms: Terms, model: Model, good: Mask, *, last: bool) -> BandFit:
+def _attempt(band: Band, terms: Terms, model: Model, good: Mask, enough: float, *, last: bool) -> BandFit:
     """Fit to the good segments (S,), and judge all of them by the result."""
-    first, steps = len(model.surface) == 1, _LAST_STEPS if last else _STEPS
+    steps = _LAST_STEPS if last else _STEPS
     some = _spread(band, good)
     usable = ~band.clipped & unclipped(band, band.values, model, measured=True)
     robust = not last or good.mean() < _WHOLE
-    _require_pixels(usable & some[band.segment])
-    fitted = fit_model(terms.part(usable & some[band.segment]), model, steps=steps, robust=robust)
+
+    def fitted_to(use: Mask, start: Model) -> Fitted:
+        among = use & some[band.segment]
+        _require_pixels(among)
+        return fit_model(terms.part(among), start, steps=steps, robust=robust)
+
+    fitted = fitted_to(usable, model)
     value = see(terms, fitted.model)
     # What is left out by what was measured is left out too often where the noise went up.
     alone = unclipped(band, value.value, fitted.model, measured=False) & ~foreign(band, terms, fitted.model, value)
@@ -186,12 +192,11 @@ def _attempt(band: Band, terms: Terms, model: Model, good: Mask, *, last: bool) 
     alone &= ~(band.clipped & (value.value > band.values))
     if np.any(alone != usable):
         usable = alone
-        _require_pixels(usable & some[band.segment])
-        fitted = fit_model(terms.part(usable & some[band.segment]), fitted.model, steps=steps, robust=robust)
+        fitted = fitted_to(usable, fitted.model)
     if last:
         fitted = fitted.pruned()
     segments = segments_of(band, terms, fitted.model, usable)
-    there, good = judged(segments, fitted.model, band.chosen, GOOD_START if first else GOOD_SEGMENT)
+    there, good = judged(segments, fitted.model, band.chosen, enough)
     offset = fitted.model.offset @ waves(segments.theta, fitted.model.freedom.waves) + segments.offset
     feet, normals, _ = band.outline.at(segments.theta)
     return BandFit(band, fitted, terms, usable, segments, feet + normals * offset[:, None], there, good, some)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planeopt.spot.outline import Outline, fit
+from planeopt.spot.robust import deviation
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -62,7 +63,7 @@ def scatter_about_ellipse(points: Array, sigma: Array, use: Mask, start: Outline
         if outline is None:
             return None
         residuals = outline.distances(points) / sigma
-        robust = float(np.median(np.abs(residuals[keep]))) / 0.6745
+        robust = deviation(residuals[keep])
         if last:
             spread = float((residuals[keep] ** 2).sum()) / max(int(keep.sum()) - _PARAMETERS, 1)
             return Scatter(outline, keep, residuals, float(np.sqrt(spread)))
@@ -83,8 +84,7 @@ def inflation_of(scatter: Scatter) -> float:
     correlated = 1 + max(independent - 1 - np.sqrt(2 * (2 * taken + 1) / count), 0.0)
     excess = 1 + max(scatter.factor**2 - 1 - np.sqrt(2 * correlated / count), 0.0)
     # Correlated residuals: the ellipse takes away five of the independent ones.
-    free = count + _PARAMETERS
-    lost = (free - _PARAMETERS) / max(free - _PARAMETERS * correlated, 1.0)
+    lost = count / max(count - _PARAMETERS * (correlated - 1), 1.0)
     return float(np.sqrt(excess * correlated * lost))
 
 

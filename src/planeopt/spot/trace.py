@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from planeopt.spot.ellipses import Ellipses, joined
 from planeopt.spot.pyramid import Level
+from planeopt.spot.robust import MEDIAN_OF_NORMAL
 
 Array = NDArray[np.floating]
 
@@ -241,7 +242,7 @@ def _jitter(offset: Array, height: Array, typical: Array) -> Array:
     second = np.abs(np.roll(offset, step, axis=1) - 2 * offset + np.roll(offset, -step, axis=1))
     there = height > _HEIGHT[0] * typical[:, None]
     return _typical(second, there & np.roll(there, step, axis=1) & np.roll(there, -step, axis=1)) / (
-        0.6745 * np.sqrt(6.0)
+        MEDIAN_OF_NORMAL * np.sqrt(6.0)
     )
 
 
