@@ -98,11 +98,13 @@ def test_segments_find_their_own_offset() -> None:
     terms = terms_of(pixels, "disc", truth.freedom, truth.widths)
     own = 0.01 * np.sin(np.arange(pixels.count))
     shifted = replace(terms, u=terms.u - own[pixels.segment])
-    segments = segments_of(pixels, replace(terms, values=see(shifted, truth).value), truth, np.ones(len(terms.u), bool))
+    segments = segments_of(
+        pixels, replace(terms, values=see(shifted, truth).value), truth, see(terms, truth), np.ones(len(terms.u), bool)
+    )
     # One step of Gauss-Newton: the next term is of relative size (offset / width)^2 = 7e-5; the plateau's own slope,
     # which the derivative leaves out, is of some thousandths of the profile's.
     np.testing.assert_allclose(segments.offset, own, atol=5e-5)
-    nothing = segments_of(pixels, terms, truth, np.zeros(len(terms.u), dtype=bool))
+    nothing = segments_of(pixels, terms, truth, see(terms, truth), np.zeros(len(terms.u), dtype=bool))
     assert np.all(np.isinf(nothing.variance))
     assert np.all(nothing.offset == 0)
 
@@ -117,7 +119,7 @@ def test_variance_of_segments_is_that_of_draws() -> None:
     ratios = []
     for _ in range(draws):
         noisy = replace(terms, values=seen.value + rng.normal(size=len(variance)) * np.sqrt(variance))
-        found = segments_of(pixels, noisy, truth, keep)
+        found = segments_of(pixels, noisy, truth, see(noisy, truth), keep)
         ratios.append(found.offset**2 / found.variance)
     # 200 draws of about 170 independent segments: 1/sqrt(17,000) of a variance, 3.3 times.
     assert np.mean(ratios) == pytest.approx(1, abs=3.3 * np.sqrt(2 / (draws * pixels.count)))
@@ -198,12 +200,12 @@ def test_the_nearest_point_is_nearest(axis: float) -> None:
     outline = replace(OUTLINE, b=axis)
     points, normals, _ = outline.at(np.linspace(0, 6.2, 40))
     shift = np.linspace(-0.8 * axis**2 / outline.a, 15, 40)
-    u, theta = outline.nearest(points + normals * shift[:, None])
+    u, (cosine, sine) = outline.nearest(points + normals * shift[:, None])
     # Far outside a very flat ellipse the iteration has not quite ended.
     np.testing.assert_allclose(u, shift, atol=1e-5 if axis > 5 else 3e-3)
     near = np.abs(shift) < 1
     np.testing.assert_allclose(u[near], shift[near], atol=1e-6)
-    np.testing.assert_allclose(outline.at(theta)[0][near], points[near], atol=1e-3)
+    np.testing.assert_allclose(outline.at(np.arctan2(sine, cosine))[0][near], points[near], atol=1e-3)
     for place in ([70.0, 50.0], [40.0, 90.0]):
         (distance,), _ = outline.nearest(np.array([place]))
         # Steps of 0.01 px along the boundary, whose distance is at least 5 px.

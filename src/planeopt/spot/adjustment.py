@@ -4,6 +4,7 @@ Gauss-Newton over all parameters at once. Clipped pixels tell nothing and are no
 """
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import scipy.linalg
@@ -11,7 +12,7 @@ import scipy.optimize
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from planeopt.spot.model import N_ELLIPSE, Model, Seen, Terms, Widths, design, see, variance
+from planeopt.spot.model import N_ELLIPSE, Model, Seen, Terms, Widths, by_widths, design, see, variance
 from planeopt.spot.robust import MEDIAN_OF_NORMAL, deviation
 
 Array = NDArray[np.float64]
@@ -25,8 +26,10 @@ _OVAL_SIGMA, _MOST_OVAL = 0.5, 0.9
 _UNEVEN = 0.5  # of the plateau's height: a variation of background or plateau is hardly larger
 _START = 0.01  # of its own, by which each coefficient is held at nought
 _CLASSES = 12  # of height, in which the noise is looked at
-# Of the width: what a smaller step moves, the segments find by themselves; a start need not be that good.
-_SETTLED, _NEARLY = 3e-4, 3e-3
+_START_PIXELS = 4000  # of more, so many are fitted to before all are
+# Of the width: after a step of Gauss-Newton no longer than this, what is left is of the order of its square, and the
+# segments find that by themselves; a reweighted fit comes near its end more slowly.
+_SETTLED, _NEARLY = 0.1, 3e-3
 
 
 def noise_law(seen: Seen, residual: Array) -> Array:
@@ -100,11 +103,13 @@ class Fitted:
         return fit
 
     def _without(self, gone: NDArray[np.intp], value: Array) -> "Fitted":
-        kept = np.setdiff1d(np.flatnonzero(np.diag(self.information) > 0), gone)
+        stays = np.diag(self.information) > 0
+        stays[gone] = False
+        kept = np.flatnonzero(stays)
         rest, mixed = self.information[np.ix_(kept, kept)], self.information[np.ix_(kept, gone)]
         through = solve(rest, mixed)
         left = self.information[np.ix_(gone, gone)] - mixed.T @ through
-        if float(value @ left @ value) > chi2.isf(_CHANCE, len(gone)):
+        if float(value @ left @ value) > _by_chance(len(gone)):
             return self
         change = np.zeros(len(self.information))
         change[kept], change[gone] = through @ value, -value
@@ -134,6 +139,11 @@ class Fitted:
         return float(np.sqrt(np.diag(np.linalg.inv(self.information[np.ix_(places, places)]))[place]))
 
 
+@cache
+def _by_chance(freedoms: int) -> float:
+    return float(chi2.isf(_CHANCE, freedoms))
+
+
 def solve(matrix: Array, right: Array) -> Array:
     """Return the solution of normal equations; what they do not determine stays nought."""
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-12 * float(np.trace(matrix)) + 1e-300))
@@ -156,30 +166,39 @@ def fit_model(terms: Terms, model: Model, *, steps: int, robust: bool) -> Fitted
         Whether pixels count the less the further they are off (the weights of a Cauchy distribution): for a start, of
         whose pixels some may see something else.
     """
-    model = replace(model, surface=np.zeros(len(terms.ground) + len(terms.top)))
-    by_surface = design(terms, see(terms, model))
+    every = len(terms.u) // _START_PIXELS
+    some = terms.thinned(every) if every > 1 else terms
+    model = replace(model, surface=_level_surfaces(some, model))
+    if every > 1:
+        model = _gauss_newton(some, model, steps, robust).model
+    return _gauss_newton(terms, model, steps, robust)
+
+
+def _level_surfaces(terms: Terms, model: Model) -> Array:
+    """Return the coefficients of background and plateau that fit best, where all else is as the model has it."""
+    by_surface = design(terms, see(terms, replace(model, surface=np.zeros(len(terms.ground) + len(terms.top)))))
     square = (by_surface @ by_surface.T).astype(np.float64)
-    held = np.setdiff1d(np.arange(len(square)), [0, model.freedom.background_terms])
+    held = np.ones(len(square), dtype=np.bool_)
+    held[[0, model.freedom.background_terms]] = False
     square[held, held] *= 1 + _START
-    model = replace(model, surface=solve(square, by_surface @ terms.values.astype(by_surface.dtype)))
+    return solve(square, by_surface @ terms.values.astype(by_surface.dtype))
+
+
+def _gauss_newton(terms: Terms, model: Model, steps: int, robust: bool) -> Fitted:
     information = np.eye(1)
-    for step in range(steps):
+    for _ in range(steps):
         information, right = _normal_equations(terms, model, robust=robust)
-        change = solve(information, right)
-        model, size = _moved(model, change)
-        if step > 0 and size < (_NEARLY if robust else _SETTLED):
+        model, size = _moved(model, solve(information, right))
+        if size < (_NEARLY if robust else _SETTLED):
             break
     return Fitted(model, information)
 
 
 def whitened(terms: Terms, model: Model, seen: Seen) -> tuple[Array, Array]:
     """Return the derivatives (n, M) of the pixels by all free parameters, and the residuals (M,), over their noise."""
-    free, root = model.freedom, 1 / np.sqrt(variance(model, seen))
-    dtype = terms.ground.dtype
-    by_widths = seen.by_widths[np.array([free.blur, free.line, free.lean, free.lean, free.oval, free.oval])].astype(
-        dtype
-    )
-    jacobian = np.concatenate([seen.position.astype(dtype) * terms.boundary, design(terms, seen), by_widths])
+    root, dtype = 1 / np.sqrt(variance(model, seen)), terms.ground.dtype
+    rows = [seen.position.astype(dtype) * terms.boundary, design(terms, seen), by_widths(terms, model, seen)]
+    jacobian = np.concatenate(rows, dtype=dtype)
     jacobian *= root.astype(dtype)
     return jacobian, (terms.values - seen.value) * root
 

@@ -13,7 +13,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _BLACK = 0.02  # of the pixels at nought: with fewer noise hardly ends there
-_RUN = 12  # segments side by side, where not all are taken
+_RUN = 8  # segments side by side, where not all are taken
+_SPARSEST = 8  # of these, at least one of so many is: few would not hold an ellipse
 _MAX_SEGMENTS = 3000  # of a perimeter beyond that, each is longer than a pixel
 
 
@@ -35,9 +36,11 @@ class Band:
         At full scale; at nought, where that many are that noise ends there.
     u : (M,) array
         Distance from the ellipse, px, positive outside.
+    turn : (2, M) array
+        Cosine and sine of the eccentric angle of the nearest point of the ellipse.
     theta : (M,) array
-        Eccentric angle of the nearest point of the ellipse.
-    normals : (M, 2) array
+        That angle, from 0 to 2 pi.
+    normals : (2, M) array
         Outward, at that point.
     curvature : (M,) array
         Of the ellipse at that point, 1/px.
@@ -57,6 +60,7 @@ class Band:
     clipped: Mask
     black: Mask
     u: Array
+    turn: Array
     theta: Array
     normals: Array
     curvature: Array
@@ -75,8 +79,9 @@ class Band:
             self.clipped[keep],
             self.black[keep],
             self.u[keep],
+            self.turn[:, keep],
             self.theta[keep],
-            self.normals[keep],
+            self.normals[:, keep],
             self.curvature[keep],
             self.segment[keep],
             self.count,
@@ -126,17 +131,21 @@ def band_round(
         raise SpotNotFound(NoSpotReason.TOUCHES_BORDER)
     rows, columns = _near(outline, (x0, y0, x1, y1), inner, outer)
     count = int(np.clip(np.ceil(outline.perimeter), 16, _MAX_SEGMENTS))
-    every = 1 if most is None else max(1, len(rows) // most)
+    every = 1 if most is None else min(max(1, len(rows) // most), _SPARSEST)
     if every > 1:
         # By the angle of the pixel itself: at the ends of a run it says nearly the same as that of the nearest point.
         local = outline.local(np.stack([columns + x0, rows + y0], axis=1).astype(np.float64))
         run = (outline.share_before(np.arctan2(local[:, 1] / outline.b, local[:, 0] / outline.a)) * count) // _RUN
-        rows, columns = rows[run % every == 0], columns[run % every == 0]
-    u, theta = outline.nearest(np.stack([columns + x0, rows + y0], axis=1).astype(np.float64))
+        some = np.flatnonzero(run % every == 0)
+        rows, columns = rows[some], columns[some]
+    u, turn = outline.nearest(np.stack([columns + x0, rows + y0], axis=1).astype(np.float64))
+    theta = np.arctan2(turn[1], turn[0])
+    theta += np.where(theta < 0, 2 * np.pi, 0.0)
     segment = np.minimum((outline.share_before(theta) * count).astype(np.intp), count - 1)
-    keep = (u >= -inner) & (u <= outer) & (segment // _RUN % every == 0)
-    rows, columns, u, theta, segment = rows[keep], columns[keep], u[keep], theta[keep], segment[keep]
-    _, normals, curvature = outline.at(theta)
+    keep = np.flatnonzero((u >= -inner) & (u <= outer) & (segment // _RUN % every == 0))
+    rows, columns, segment = rows[keep], columns[keep], segment[keep]
+    u, turn, theta = u[keep], turn[:, keep], theta[keep]
+    normals, curvature = outline.bearing(turn)
     part = values[y0:y1, x0:x1]
     nothing = np.zeros(len(rows), dtype=np.bool_)
     full = nothing if clipped is None else clipped[y0:y1, x0:x1][rows, columns]
@@ -152,6 +161,7 @@ def band_round(
         full,
         dark,
         u,
+        turn,
         theta,
         normals,
         curvature,
@@ -172,13 +182,30 @@ def _near(
     reach = (outline.a + outline.b) / (2 * outline.size)
     inner, outer = inner * reach, outer * reach
     x0, y0, x1, y1 = box
-    x = np.arange(x0, x1, dtype=np.float32) - np.float32(outline.x)
-    y = (np.arange(y0, y1, dtype=np.float32) - np.float32(outline.y))[:, None]
-    (c, _), (s, _) = outline.axes.astype(np.float32)
-    p, q = (c * x + s * y) ** 2, (c * y - s * x) ** 2
-    wanted = p / np.float32((outline.a + outer) ** 2) + q / np.float32((outline.b + outer) ** 2) <= 1
+    y = np.arange(y0, y1, dtype=np.float64)
+    first, last = _span(outline, outline.a + outer, outline.b + outer, y)
+    first = np.clip(np.ceil(first), x0, x1).astype(np.intp)
+    last = np.clip(np.floor(last) + 1, first, x1).astype(np.intp)
     a, b = outline.a - inner, outline.b - inner
     if b > 0 and outline.b**2 / outline.a > inner:
-        wanted &= p / np.float32(a**2) + q / np.float32(b**2) >= 1
-    rows, columns = np.nonzero(wanted)
+        begin, end = _span(outline, a, b, y)
+        begin = np.clip(np.floor(begin) + 1, first, last).astype(np.intp)
+        end = np.clip(np.ceil(end), begin, last).astype(np.intp)
+    else:
+        begin = end = last
+    # Of each row, what lies before the inner ellipse and what lies behind it.
+    starts, ends = np.stack([first, end], axis=1).ravel(), np.stack([begin, last], axis=1).ravel()
+    lengths = ends - starts
+    rows = np.repeat(np.repeat(np.arange(y1 - y0), 2), lengths)
+    columns = np.arange(lengths.sum()) + np.repeat(starts - x0 - np.cumsum(lengths) + lengths, lengths)
     return rows, columns
+
+
+def _span(outline: Outline, a: float, b: float, y: Array) -> tuple[Array, Array]:
+    """Return where rows at heights `y` (N,) enter and leave an ellipse of other semi-axes; twice its middle outside."""
+    (c, _), (s, _) = outline.axes
+    # The points (x, y) with (c x + s y)^2 / a^2 + (c y - s x)^2 / b^2 <= 1, a quadratic in x.
+    square, y = (c / a) ** 2 + (s / b) ** 2, y - outline.y
+    middle = outline.x - y * c * s * (a**-2 - b**-2) / square
+    half = np.sqrt(np.maximum(square - (y / (a * b)) ** 2, 0.0)) / square
+    return middle - half, middle + half

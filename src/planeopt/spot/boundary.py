@@ -10,7 +10,6 @@ from scipy.special import ndtri
 from planeopt.spot.candidates import Candidate
 from planeopt.spot.grey import Grey
 from planeopt.spot.judgement import require_share
-from planeopt.spot.model import see
 from planeopt.spot.outline import Outline
 from planeopt.spot.points import NoSpotReason, SpotNotFound
 from planeopt.spot.profiles import rough_boundary
@@ -154,8 +153,7 @@ def _levels(fit: BandFit) -> tuple[float, float]:
     SpotNotFound
         If it is not brighter than the background.
     """
-    terms = fit.terms.part(fit.good[fit.band.segment])
-    seen = see(terms, fit.fitted.model)
+    seen = fit.seen.part(fit.good[fit.band.segment])
     height = float(np.median(seen.plateau))
     if fit.fitted.model.kind == "ring":
         # The light of a line: its peak is lower the wider it is.
@@ -221,6 +219,8 @@ def _result(
         shared=shared,
         curvature=float(curvature[keep].max() * width),
         ambiguity=ambiguity,
-        level_dependence=level_dependence(fit.band, fit.terms, model, fit.usable, fit.good) if kind == "disc" else 0.0,
+        level_dependence=level_dependence(fit.band, fit.terms, model, fit.seen, fit.usable, fit.good)
+        if kind == "disc"
+        else 0.0,
         response=response(fit.terms.part(fit.usable & fit.good[fit.band.segment]), model) if kind == "disc" else 0.0,
     )

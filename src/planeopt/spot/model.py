@@ -4,7 +4,8 @@ One blur round the spot, a plateau and a background that vary smoothly across it
 ellipse by a few waves.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from planeopt.spot.band import Band
 from planeopt.spot.blurred import curved, is_gentle, profile, rendered
 from planeopt.spot.points import Kind
-from planeopt.spot.surfaces import surface, surface_slope, waves
+from planeopt.spot.surfaces import surface, surface_slope, waves_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -189,15 +190,14 @@ class Terms:
 
     def part(self, keep: Mask) -> "Terms":
         """Return the terms of these pixels (M,) alone."""
-        return Terms(*(np.compress(keep, getattr(self, field.name), axis=-1) for field in fields(self)))
+        if keep.all():
+            return self
+        places = np.flatnonzero(keep)
+        return Terms(*(getattr(self, field.name).take(places, axis=-1) for field in fields(self)))
 
-    def single(self) -> "Terms":
-        """Return the terms with their matrices in single precision: twice as fast, and far finer than the noise."""
-        matrices = {
-            name: getattr(self, name).astype(np.float32)
-            for name in ("directions", "boundary", "ground", "top", "slope")
-        }
-        return replace(self, **matrices)
+    def thinned(self, every: int) -> "Terms":
+        """Return the terms of every so many-th pixel."""
+        return Terms(*(np.ascontiguousarray(getattr(self, field.name)[..., ::every]) for field in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,8 +217,12 @@ class Seen:
         Of the profile; `slope` inwards, 1/px.
     smear : (M,) array
         The slope times the blur's variance across the boundary, px.
-    by_widths : (6, M) array
-        Derivatives by the variances of blur and line, by the two leans, and by the two of `oval`.
+    scale : (M,) array
+        The beam's own, over its mean.
+    oval : (M,) array
+        Share by which the blur's variance is larger across the boundary.
+    across, along : (M,) array
+        Derivatives of the value by the width's and by the shift's variance, 1/px^2.
     """
 
     value: Array
@@ -228,14 +232,34 @@ class Seen:
     level: Array
     slope: Array
     smear: Array
-    by_widths: Array
+    scale: Array
+    oval: Array
+    across: Array
+    along: Array
+
+    def part(self, keep: Mask) -> "Seen":
+        """Return what is seen in these pixels (M,) alone."""
+        places = np.flatnonzero(keep)
+        return Seen(*(getattr(self, field.name).take(places) for field in fields(self)))
 
 
-def terms_of(band: Band, kind: Kind, free: Freedom, widths: Widths) -> Terms:
-    """Return the terms of a band for a model of these freedoms, its profile rendered with these widths."""
-    c, s = np.cos(band.theta), np.sin(band.theta)
-    stretch = 1.0 / (np.hypot(c / band.outline.a, s / band.outline.b) * band.outline.size)
-    all_waves = waves(band.theta, max(free.waves, free.background_waves, free.plateau_waves))
+def terms_of(
+    band: Band, kind: Kind, free: Freedom, widths: Widths, dtype: type[np.floating[Any]] = np.float64, near: float = 1.0
+) -> Terms:
+    """Return the terms of a band for a model of these freedoms, its profile rendered with these widths.
+
+    Parameters
+    ----------
+    band, kind, free, widths
+    dtype : type
+        Of the matrices: in single precision they are twice as fast, and far finer than the noise.
+    near : float
+        How many times more than what is usual the profile may be off before it is rendered.
+    """
+    size = band.outline.size
+    c, s = band.turn
+    stretch = 1.0 / np.sqrt((c * (size / band.outline.a)) ** 2 + (s * (size / band.outline.b)) ** 2)
+    all_waves = waves_of(band.turn.astype(dtype), max(free.waves, free.background_waves, free.plateau_waves))
     ground, _ = _surface(band, all_waves, free.background, free.background_waves, free.background_slopes)
     top, slope = _surface(band, all_waves, free.plateau, free.plateau_waves, free.plateau_slopes)
     return Terms(
@@ -243,34 +267,37 @@ def terms_of(band: Band, kind: Kind, free: Freedom, widths: Widths) -> Terms:
         curvature=band.curvature,
         values=band.values,
         stretch=stretch,
-        directions=_doubled(band.normals),
+        directions=_doubled(band.normals.astype(dtype)),
         boundary=all_waves[: 2 * free.waves + 1],
         ground=ground,
         top=top,
         slope=slope,
-        rest=_remainder(band, kind, widths, stretch),
+        rest=_remainder(band, kind, widths, stretch, near),
     )
 
 
-def _doubled(normals: Array) -> Array:
-    """Return cosine and sine (2, M) of twice the direction of unit vectors (M, 2)."""
-    x, y = normals.T
+def _doubled(normals: NDArray[Any]) -> NDArray[Any]:
+    """Return cosine and sine (2, M) of twice the direction of unit vectors (2, M)."""
+    x, y = normals
     return np.stack([x * x - y * y, 2 * x * y])
 
 
-def _surface(band: Band, all_waves: Array, degree: int, highest: int, slopes: bool) -> tuple[Array, Array]:
+def _surface(
+    band: Band, all_waves: NDArray[Any], degree: int, highest: int, slopes: bool
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return the terms (n, M) of a surface, and their derivatives (n, M) across the boundary, 1/px."""
-    size = band.outline.size
+    dtype, size = all_waves.dtype, band.outline.size
     wavy = all_waves[2 * degree + 1 : 2 * highest + 1]
-    rising = all_waves[:N_ELLIPSE] / size if slopes else all_waves[:0]
-    value = [surface(band.places, degree), wavy, rising * band.u]
-    slope = [surface_slope(band.places, band.normals.T, degree) / size, np.zeros_like(wavy), rising]
+    rising = all_waves[:N_ELLIPSE] / dtype.type(size) if slopes else all_waves[:0]
+    places, normals = band.places.astype(dtype), (band.normals / size).astype(dtype)
+    value = [surface(places, degree), wavy, rising * band.u.astype(dtype)]
+    slope = [surface_slope(places, normals, degree), np.zeros_like(wavy), rising]
     return np.concatenate(value), np.concatenate(slope)
 
 
-def _remainder(band: Band, kind: Kind, widths: Widths, stretch: Array) -> Array:
+def _remainder(band: Band, kind: Kind, widths: Widths, stretch: Array, near: float) -> Array:
     blur, line = float(np.sqrt(widths.blur)), float(np.sqrt(widths.line))
-    if is_gentle(kind, band.outline, widths.mean):
+    if is_gentle(kind, band.outline, widths.mean / near):
         return np.zeros(len(band.u))
     level, _, _ = _profile(kind, band.u, band.curvature, stretch, stretch, np.zeros(len(band.u)), widths)
     return rendered(kind, band.outline, blur, line, band.box)[band.rows, band.columns] - level
@@ -329,16 +356,25 @@ def see(terms: Terms, model: Model) -> Seen:
         level=level,
         slope=slope,
         smear=smear,
-        by_widths=plateau
-        * np.stack(
-            [
-                across * (1 + oval) + along * (1 - oval),
-                across * scale**2,
-                *(across * (2 * model.widths.line * scale * terms.stretch) * turn),
-                *((across - along) * model.widths.blur * terms.directions),
-            ]
-        ),
+        scale=scale,
+        oval=oval,
+        across=plateau * across,
+        along=plateau * along,
     )
+
+
+def by_widths(terms: Terms, model: Model, seen: Seen) -> Array:
+    """Return the derivatives (n, M) by those that are free of the variances of blur and line, the leans, the ovals."""
+    free, widths, rows = model.freedom, model.widths, []
+    if free.blur:
+        rows.append((seen.across * (1 + seen.oval) + seen.along * (1 - seen.oval))[None])
+    if free.line:
+        rows.append((seen.across * seen.scale**2)[None])
+    if free.lean:
+        rows.append(seen.across * (2 * widths.line * seen.scale * terms.stretch) * terms.boundary[1:3])
+    if free.oval:
+        rows.append((seen.across - seen.along) * widths.blur * terms.directions)
+    return np.concatenate(rows) if rows else np.empty((0, len(seen.value)))
 
 
 def design(terms: Terms, seen: Seen) -> Array:

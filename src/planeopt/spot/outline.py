@@ -13,6 +13,9 @@ from planeopt.conic import conic_from_geometric
 Array = NDArray[np.float64]
 
 
+_CONVERGING = 1e-5  # rad: a turn that moves less leaves an error of less than its square
+
+
 @dataclass(frozen=True, slots=True)
 class Outline:
     """An ellipse in the image.
@@ -63,6 +66,10 @@ class Outline:
         """Return the ellipse moved by (2,), px."""
         return Outline(self.x + float(by[0]), self.y + float(by[1]), self.a, self.b, self.angle)
 
+    def distance_to(self, other: "Outline") -> float:
+        """Return the largest difference of the centres' places and of the semi-axes, px."""
+        return max(abs(self.x - other.x), abs(self.y - other.y), abs(self.a - other.a), abs(self.b - other.b))
+
     def local(self, points: Array) -> Array:
         """Return points (..., 2) in the frame of the axes."""
         return (points - [self.x, self.y]) @ self.axes
@@ -79,31 +86,33 @@ class Outline:
         return value / np.maximum(slope, 1e-12)
 
     def nearest(self, points: Array) -> tuple[Array, Array]:
-        """Return signed distances (N,) of points (N, 2), px, positive outside, and the nearest points' angles (N,).
+        """Return signed distances (N,) of points (N, 2), px, positive outside, and where the nearest points are.
 
-        The angle is the eccentric one. By the circle of curvature at the current point, which converges from any start
-        (Wang, Robust point to ellipse distance, 2017); at the boundary to rounding, at 20 px from it to 1e-6 px.
+        The latter by cosine and sine (2, N) of their eccentric angles. By the circle of curvature at the current point,
+        which converges from any start (Wang, Robust point to ellipse distance, 2017); at the boundary to rounding, at
+        20 px from it to 1e-6 px.
         """
         local = self.local(points)
-        x, y = np.abs(local).T
+        x, y = np.abs(local[:, 0]), np.abs(local[:, 1])
         a, b = self.a, self.b
-        c, s = x / a, y / b
-        size = np.maximum(np.hypot(c, s), 1e-12)
-        c, s = c / size, s / size
+        c, s = _unit(x / a, y / b)
         focal = a * a - b * b
         for _ in range(4):
-            evolute = focal * c**3 / a, -focal * s**3 / b
-            r = np.hypot(a * c - evolute[0], b * s - evolute[1])
-            px, py = x - evolute[0], y - evolute[1]
-            stretch = r / np.maximum(np.hypot(px, py), 1e-12)
-            c = np.clip((px * stretch + evolute[0]) / a, 0.0, 1.0)
-            s = np.clip((py * stretch + evolute[1]) / b, 0.0, 1.0)
-            size = np.maximum(np.hypot(c, s), 1e-12)
-            c, s = c / size, s / size
-        distance = np.hypot(x - a * c, y - b * s)
+            # Roots of sums of squares: several times as fast as `hypot`, and nothing here overflows.
+            evolute_x, evolute_y = (focal / a) * (c * c * c), (-focal / b) * (s * s * s)
+            px, py = x - evolute_x, y - evolute_y
+            radius = (a * c - evolute_x) ** 2 + (b * s - evolute_y) ** 2
+            stretch = np.sqrt(radius / np.maximum(px * px + py * py, 1e-24))
+            before = c, s
+            c = np.clip((px * stretch + evolute_x) / a, 0.0, 1.0)
+            s = np.clip((py * stretch + evolute_y) / b, 0.0, 1.0)
+            c, s = _unit(c, s)
+            if np.abs(c * before[1] - s * before[0]).max(initial=0.0) < _CONVERGING:
+                break
+        distance = np.sqrt((x - a * c) ** 2 + (y - b * s) ** 2)
         outside = (x / a) ** 2 + (y / b) ** 2 > 1
-        angle = np.arctan2(np.copysign(s, local[:, 1]), np.copysign(c, local[:, 0]))
-        return np.where(outside, distance, -distance), angle
+        turn = np.stack([np.copysign(c, local[:, 0]), np.copysign(s, local[:, 1])])
+        return np.where(outside, distance, -distance), turn
 
     def spaced(self, count: int) -> Array:
         """Return the eccentric angles (N,) of points evenly spaced along the boundary, from 0 to 2 pi."""
@@ -119,22 +128,37 @@ class Outline:
 
     def share_before(self, theta: Array) -> Array:
         """Return the share (N,) of the perimeter, from 0 to 1, between eccentric angle 0 and `theta` (N,)."""
-        fine, length = self._arc(max(256, int(4 * self.perimeter)))
-        return np.interp(np.mod(theta, 2 * np.pi), fine, length)
+        count = max(256, int(4 * self.perimeter))
+        _, length = self._arc(count)
+        # Linear interpolation in a table of even steps.
+        place = np.mod(theta * (count / (2 * np.pi)), count)
+        step = np.minimum(place.astype(np.intp), count - 1)
+        before = length[step]
+        return before + (place - step) * (length[step + 1] - before)
 
     def at(self, theta: Array) -> tuple[Array, Array, Array]:
         """Return the points (N, 2) at eccentric angles (N,), outward normals (N, 2) and curvatures (N,), 1/px."""
-        c, s = np.cos(theta), np.sin(theta)
-        points = np.stack([self.a * c, self.b * s], axis=1) @ self.axes.T + [self.x, self.y]
-        rate = np.hypot(self.a * s, self.b * c)
-        normals = np.stack([self.b * c, self.a * s], axis=1) / rate[:, None] @ self.axes.T
-        return points, normals, self.a * self.b / rate**3
+        turn = np.stack([np.cos(theta), np.sin(theta)])
+        points = (turn.T * [self.a, self.b]) @ self.axes.T + [self.x, self.y]
+        normals, curvature = self.bearing(turn)
+        return points, normals.T, curvature
+
+    def bearing(self, turn: Array) -> tuple[Array, Array]:
+        """Return outward normals (2, N) and curvatures (N,), 1/px, where cosine and sine (2, N) of the angle are."""
+        across = np.stack([self.b * turn[0], self.a * turn[1]])
+        rate = np.sqrt(across[0] ** 2 + across[1] ** 2)
+        return self.axes @ (across / rate), self.a * self.b / (rate * rate * rate)
 
     @property
     def perimeter(self) -> float:
         """Perimeter, px (Ramanujan's second approximation; exact to 1e-4 down to an axis ratio of 0.05)."""
         h = ((self.a - self.b) / (self.a + self.b)) ** 2
         return float(np.pi * (self.a + self.b) * (1 + 3 * h / (10 + np.sqrt(4 - 3 * h))))
+
+
+def _unit(x: Array, y: Array) -> tuple[Array, Array]:
+    size = np.maximum(np.sqrt(x * x + y * y), 1e-12)
+    return x / size, y / size
 
 
 def fit(points: Array, sigma: Array, start: Outline | None = None, turns: int = 3) -> Outline | None:

@@ -16,6 +16,7 @@ Mask = NDArray[np.bool_]
 _STEP = 0.5  # px between the samples of a profile
 _NORMALS = 256
 _ROUNDS = 3
+_SETTLED = 0.1  # of the width: an ellipse that moves less is good enough for a start
 _HEIGHTS = (0.4, 2.5)  # of the median height: what else is not the spot's edge
 _NEAR = 3.0  # robust standard deviations
 _NARROWEST = 0.5  # px: of a profile's width, as a start
@@ -67,6 +68,7 @@ def rough_boundary(values: NDArray[np.float32], outline: Outline, kind: Kind, li
     width, theta, seen, heights = 1.0, np.empty(0), np.empty(0, dtype=np.bool_), np.empty(0)
     reach = max(6.0, 0.12 * outline.size, 2.0 * line_width)
     for turn in range(_ROUNDS):
+        before = outline
         theta = outline.spaced(_NORMALS)
         feet, normals, _ = outline.at(theta)
         # Beyond the middle of a narrow spot lies the opposite edge.
@@ -82,12 +84,14 @@ def rough_boundary(values: NDArray[np.float32], outline: Outline, kind: Kind, li
         found[whole] = position
         heights = np.zeros(len(theta))
         heights[whole] = height
-        outline, seen = _robust_ellipse(feet, normals, found, heights, last=turn == _ROUNDS - 1)
+        outline, seen = _robust_ellipse(feet, normals, found, heights)
         reach = max(4 * width + 3, 5.0)
+        if turn > 0 and before.distance_to(outline) < _SETTLED * width:
+            break
     return Start(outline, width, float(np.median(heights[seen])), theta, seen)
 
 
-def _robust_ellipse(feet: Array, normals: Array, position: Array, height: Array, *, last: bool) -> tuple[Outline, Mask]:
+def _robust_ellipse(feet: Array, normals: Array, position: Array, height: Array) -> tuple[Outline, Mask]:
     """Fit an ellipse to crossings, however many of them are something else's.
 
     Points count less the further they are off (the weights of a Cauchy distribution), starting from the ellipse that
@@ -111,7 +115,7 @@ def _robust_ellipse(feet: Array, normals: Array, position: Array, height: Array,
     assert current is not None  # the loop has run
     scale = max(deviation(off), 0.1)
     seen = np.zeros(len(there), dtype=np.bool_)
-    seen[np.flatnonzero(there)[np.abs(off) < _NEAR * scale + (0.0 if last else 1.0)]] = True
+    seen[np.flatnonzero(there)[np.abs(off) < _NEAR * scale]] = True
     return current, seen
 
 
@@ -156,7 +160,14 @@ def ridge_peaks(profiles: Array, t: Array) -> tuple[Array, Array, float]:
     above = (profiles - base[:, None]) > height[:, None] / 2
     # At half its height a Gaussian of unit standard deviation is 2.355 wide.
     width = float(np.median(above.sum(axis=1))) * (t[1] - t[0]) / 2.355 if len(profiles) else 1.0
-    return t[peak], height, max(width, _NARROWEST)
+    width = max(width, _NARROWEST)
+    # The parabola through the peak and what lies a width to its sides: noise moves it less than the highest sample.
+    side = max(1, round(width / (t[1] - t[0])))
+    rows, middle = np.arange(len(profiles)), np.clip(peak, side, len(t) - 1 - side)
+    before, at, after = (profiles[rows, middle + shift] for shift in (-side, 0, side))
+    bend = 2 * at - before - after
+    shift = np.clip((after - before) / np.where(bend > 0, 2 * bend, np.inf), -1.0, 1.0) * side * (t[1] - t[0])
+    return t[middle] + shift, height, width
 
 
 def _falling_crossing(relative: Array, t: Array, level: float) -> Array:

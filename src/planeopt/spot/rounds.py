@@ -14,7 +14,7 @@ from planeopt.spot.band import Band, band_round
 from planeopt.spot.candidates import Candidate
 from planeopt.spot.grey import Grey
 from planeopt.spot.judgement import GOOD_SEGMENT, GOOD_START, foreign, judged, require_share, unclipped
-from planeopt.spot.model import Freedom, Model, Terms, Widths, see, terms_of
+from planeopt.spot.model import Freedom, Model, Seen, Terms, Widths, see, terms_of
 from planeopt.spot.outline import Outline
 from planeopt.spot.points import Kind, NoSpotReason, SpotNotFound
 from planeopt.spot.profiles import Start
@@ -30,9 +30,12 @@ SIGMA_FLOOR = 1e-3
 
 _ROUNDS = 4
 _STEPS = 6  # of Gauss-Newton, from a start
-_LAST_ROUNDS = 3  # as long as a segment that was fitted to turns out not to fit
+_LAST_ROUNDS = 3  # as long as segments that were fitted to turn out not to fit
+_FEW_BAD = 0.02  # of them: fewer do no harm
 _LAST_STEPS = 3  # from the solution on some of the pixels, with all of them
-_SETTLED = 0.05  # of the width: an ellipse that moves less is the same
+_ROUGHLY = 4.0  # times further off than in the last round the profile of a curved boundary may be before
+_CLEAN = 0.95  # of a rough start's normals showed the boundary: it is whole
+_SETTLED = 0.1  # of the width: an ellipse that moves less is the same
 _SOME = 2500  # pixels: enough for a start
 _FEWEST = 60  # pixels that a spot is told by
 _MOST = 20_000  # pixels that the shared parameters are fitted to
@@ -76,11 +79,8 @@ class State:
     outline: Outline
     model: Model
     good: Mask
-
-    @property
-    def is_first(self) -> bool:
-        """Whether nothing has been fitted yet."""
-        return len(self.model.surface) == 1
+    rough: bool
+    """Whether this is a start of which some is not to be trusted, with which as little as may be is free."""
 
     @classmethod
     def at_start(cls, start: Start, kind: Kind, noise: float, camera_blur: float | None) -> "State":
@@ -92,7 +92,8 @@ class State:
         else:
             widths = Widths(total / 2, total / 2) if kind == "ring" else Widths(total)
         law = np.array([max(noise, 1e-4) ** 2, 0.0, 0.0])
-        return cls(start.outline, Model(kind, free, widths, np.zeros(1), np.zeros(1), law, start.height), start.seen)
+        model = Model(kind, free, widths, np.zeros(1), np.zeros(1), law, start.height)
+        return cls(start.outline, model, start.seen, rough=bool(start.seen.mean() < _CLEAN))
 
     def good_of(self, count: int) -> Mask:
         """Return which of so many segments are good: those at the same share of the perimeter."""
@@ -106,6 +107,7 @@ class BandFit:
     band: Band
     fitted: Fitted
     terms: Terms
+    seen: Seen
     usable: Mask
     segments: Segments
     points: Array
@@ -124,9 +126,10 @@ def fit_in_rounds(view: View, state: State) -> BandFit:
     """
     settled, turn = False, 0
     while not settled and turn < _ROUNDS:
-        before = state.outline
+        before = state
         state = _improved(view, state)
-        settled = turn > 0 and _distance(before, state.outline) < _SETTLED * state.model.widths.mean
+        moved = before.outline.distance_to(state.outline)
+        settled = not before.rough and moved < _SETTLED * state.model.widths.mean
         turn += 1
     return _fit(view, state, last=True)
 
@@ -141,15 +144,14 @@ def _improved(view: View, state: State) -> State:
     # The law of the noise is that of the good segments: what is not the spot's is no noise.
     inside = fit.usable & fit.good[fit.band.segment]
     _require_pixels(inside)
-    terms = fit.terms.part(inside)
-    seen = see(terms, fit.fitted.model)
-    law = noise_law(seen, terms.values - seen.value)
+    seen = fit.seen.part(inside)
+    law = noise_law(seen, fit.terms.values[inside] - seen.value)
     model = replace(fit.fitted.model, noise=law)
     # A segment that was not looked at is as good as the nearest that was.
     looked = np.flatnonzero(fit.band.chosen)
     middle = (looked[1:] + looked[:-1] + 1) // 2
     nearest = looked[np.searchsorted(middle, np.arange(fit.band.count), side="right")]
-    return State(found.outline, model, fit.good[nearest])
+    return State(found.outline, model, fit.good[nearest], rough=False)
 
 
 def _fit(view: View, state: State, *, last: bool) -> BandFit:
@@ -162,11 +164,11 @@ def _fit(view: View, state: State, *, last: bool) -> BandFit:
     free = _freedom(state, band, good)
     # The waves start anew: the ellipse has taken up what it could of them.
     model = replace(state.model, freedom=free, offset=np.zeros(2 * free.waves + 1))
-    terms = terms_of(band, view.kind, free, model.widths).single()
-    enough = GOOD_START if state.is_first else GOOD_SEGMENT
+    terms = terms_of(band, view.kind, free, model.widths, np.float32, 1.0 if last else _ROUGHLY)
+    enough = GOOD_START if state.rough else GOOD_SEGMENT
     fit = _attempt(band, terms, model, good, enough, last=last)
     for _ in range(_LAST_ROUNDS - 1 if last else 0):
-        if not np.any(fit.some & ~fit.good):
+        if _share(~fit.good, fit.some) < _FEW_BAD:
             break
         fit = _attempt(band, terms, model, fit.good, enough, last=last)
     return fit
@@ -185,21 +187,23 @@ def _attempt(band: Band, terms: Terms, model: Model, good: Mask, enough: float, 
         return fit_model(terms.part(among), start, steps=steps, robust=robust)
 
     fitted = fitted_to(usable, model)
-    value = see(terms, fitted.model)
+    seen = see(terms, fitted.model)
     # What is left out by what was measured is left out too often where the noise went up.
-    alone = unclipped(band, value.value, fitted.model, measured=False) & ~foreign(band, terms, fitted.model, value)
+    alone = unclipped(band, seen.value, fitted.model, measured=False) & ~foreign(band, terms, fitted.model, seen)
     # Less the light without the laser, full scale is lower: there the pixel itself says so.
-    alone &= ~(band.clipped & (value.value > band.values))
+    alone &= ~(band.clipped & (seen.value > band.values))
     if np.any(alone != usable):
         usable = alone
         fitted = fitted_to(usable, fitted.model)
+        seen = see(terms, fitted.model)
     if last:
         fitted = fitted.pruned()
-    segments = segments_of(band, terms, fitted.model, usable)
+        seen = see(terms, fitted.model)
+    segments = segments_of(band, terms, fitted.model, seen, usable)
     there, good = judged(segments, fitted.model, band.chosen, enough)
     offset = fitted.model.offset @ waves(segments.theta, fitted.model.freedom.waves) + segments.offset
     feet, normals, _ = band.outline.at(segments.theta)
-    return BandFit(band, fitted, terms, usable, segments, feet + normals * offset[:, None], there, good, some)
+    return BandFit(band, fitted, terms, seen, usable, segments, feet + normals * offset[:, None], there, good, some)
 
 
 def _require_pixels(use: Mask) -> None:
@@ -212,7 +216,7 @@ def _freedom(state: State, band: Band, good: Mask) -> Freedom:
     was, wide = state.model.freedom, band.outline.b / state.model.widths.mean
     room = int(band.outline.perimeter * good.mean() / _WAVE)
     # At first, and where a part is hidden, as little as may be: surfaces that are free to follow what hides it would.
-    little = wide < _NARROW or state.is_first or good.mean() < _WHOLE
+    little = wide < _NARROW or state.rough or good.mean() < _WHOLE
     degree, slopes = (1, False) if little else (2, True)
     surface_waves = max(degree, min(room, _SURFACE_WAVES) if slopes else 0)
     plateau, plateau_waves, plateau_slopes = degree, surface_waves, slopes
@@ -231,9 +235,9 @@ def _freedom(state: State, band: Band, good: Mask) -> Freedom:
         background_slopes=slopes,
         blur=was.blur,
         line=was.line,
-        lean=was.line and not state.is_first,
+        lean=was.line and not state.rough,
         # A ring's own line varies in nearly the same way.
-        oval=was.blur and not was.line and wide >= _NARROW and not state.is_first,
+        oval=was.blur and not was.line and wide >= _NARROW and not state.rough,
     )
 
 
@@ -245,7 +249,3 @@ def _spread(band: Band, good: Mask) -> Mask:
     """Return which of the good segments (S,) the shared parameters are fitted to: all, or enough of them."""
     every = max(1, len(band.u) // _MOST)
     return good & (np.arange(band.count) % every == 0)
-
-
-def _distance(before: Outline, after: Outline) -> float:
-    return max(abs(getattr(before, name) - getattr(after, name)) for name in ("x", "y", "a", "b"))

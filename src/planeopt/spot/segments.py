@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planeopt.spot.band import Band
-from planeopt.spot.model import Model, Terms, see, variance
+from planeopt.spot.model import Model, Seen, Terms, variance
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -34,9 +34,8 @@ class Segments:
     theta: Array
 
 
-def segments_of(band: Band, terms: Terms, model: Model, keep: Mask) -> Segments:
+def segments_of(band: Band, terms: Terms, model: Model, seen: Seen, keep: Mask) -> Segments:
     """Return what the kept pixels (M,) of each segment say about the boundary's place, all else being the model's."""
-    seen = see(terms, model)
     weight = keep / variance(model, seen)
     residual = terms.values - seen.value
     power, n = weight * seen.position**2, band.count
@@ -45,7 +44,7 @@ def segments_of(band: Band, terms: Terms, model: Model, keep: Mask) -> Segments:
     safe = np.where(known, information, 1.0)
     pixels = np.maximum(np.bincount(band.segment, keep.astype(np.float64), n), 1.0)
     # The first segment begins at angle 0: none holds the jump from 2 pi to it.
-    theta = np.bincount(band.segment, power * np.mod(band.theta, 2 * np.pi), n) / safe
+    theta = np.bincount(band.segment, power * band.theta, n) / safe
     return Segments(
         offset=np.bincount(band.segment, weight * seen.position * residual, n) / safe,
         variance=np.where(known, 1 / safe, np.inf),

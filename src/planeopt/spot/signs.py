@@ -6,7 +6,7 @@ from scipy.stats import chi2
 
 from planeopt.spot.adjustment import solve, whitened
 from planeopt.spot.band import Band
-from planeopt.spot.model import ELLIPSE_WAVES, Model, Terms, see, variance
+from planeopt.spot.model import ELLIPSE_WAVES, Model, Seen, Terms, see, variance
 from planeopt.spot.surfaces import waves
 
 Array = NDArray[np.float64]
@@ -14,10 +14,10 @@ Mask = NDArray[np.bool_]
 
 _CHANCE = 1e-6  # of a sign where there is none
 _SHARP = 0.7  # px: a profile narrower than that is not a blurred edge's
-_MOST = 3000  # pixels that are looked at
+_MOST = 2000  # pixels that are looked at
 
 
-def level_dependence(band: Band, terms: Terms, model: Model, usable: Mask, good: Mask) -> float:
+def level_dependence(band: Band, terms: Terms, model: Model, seen: Seen, usable: Mask, good: Mask) -> float:
     """Return by how much the ellipse of the edge's upper half differs from that of its lower half, px; 0 if by chance.
 
     Both halves of each segment say by themselves where the boundary is. Their difference round the spot, apart from its
@@ -25,13 +25,12 @@ def level_dependence(band: Band, terms: Terms, model: Model, usable: Mask, good:
 
     Parameters
     ----------
-    band, terms, model
+    band, terms, model, seen
     usable : (M,) bool array
         Pixels.
     good : (S,) bool array
         Segments.
     """
-    seen = see(terms, model)
     power = usable * seen.position**2 / variance(model, seen)
     pull = usable * seen.position * (terms.values - seen.value) / variance(model, seen)
     upper = seen.level > 0.5
