@@ -29,7 +29,7 @@ _CLASSES = 12  # of height, in which the noise is looked at
 _START_PIXELS = 4000  # of more, so many are fitted to before all are
 # Of the width: after a step of Gauss-Newton no longer than this, what is left is of the order of its square, and the
 # segments find that by themselves; a reweighted fit comes near its end more slowly.
-_SETTLED, _NEARLY = 0.1, 3e-3
+_SETTLED, _NEARLY = 0.03, 3e-3
 
 
 def noise_law(seen: Seen, residual: Array) -> Array:
