@@ -182,6 +182,32 @@ def as_colour(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.stack([grey // 4, grey // 2, grey], axis=2)
 
 
+@pytest.mark.parametrize("kind", ["disc", "ring"])
+@pytest.mark.parametrize(
+    ("shape", "radius", "ratio", "blur"),
+    [
+        # A circle has no major axis: where the count of its segments begins is chance, another one with every fit.
+        ("half plane", 40.0, 1.0, 1.2),
+        ("bar", 40.0, 1.0, 1.2),
+        # Of the pixels round a small one, more than half see the bar or are blurred with it.
+        ("bar", 24.0, 0.9, 1.8),
+    ],
+)
+def test_a_third_is_hidden(kind: str, shape: str, radius: float, ratio: float, blur: float) -> None:
+    truth = scene(radius, blur, kind, semi_axes=(radius, ratio * radius), line=1.0)
+    clean, (y, x) = truth.clean(), np.indices(truth.size)
+    for seed, direction in enumerate(np.arange(6) + 0.1):
+        along = (x - truth.centre[0]) * np.cos(direction) + (y - truth.centre[1]) * np.sin(direction)
+        depth = (
+            along - radius * np.cos(np.pi / 3) if shape == "half plane" else radius * np.sin(np.pi / 6) - np.abs(along)
+        )
+        cover = gaussian_filter(np.clip(depth + 0.5, 0, 1), blur)
+        spot = find_spot(noisy(clean + cover * (80.0 - clean), 2.0, seed), camera_blur=float(np.sqrt(blur**2 + PIXEL)))
+        change, covariance = harmonics(spot, truth)
+        # Chi-squared of five: beyond once in 100,000.
+        assert change @ np.linalg.solve(covariance, change) < 30.9
+
+
 def in_8_bits(clean: Array) -> NDArray[np.uint8]:
     return np.rint(clean).astype(np.uint8)
 

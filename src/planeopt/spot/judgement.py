@@ -49,17 +49,19 @@ def unclipped(band: Band, value: Array, model: Model, *, measured: bool) -> Mask
     return alone
 
 
-def foreign(band: Band, terms: Terms, model: Model, seen: Seen) -> Mask:
+def foreign(band: Band, terms: Terms, model: Model, seen: Seen, good: Mask) -> Mask:
     """Return which pixels (M,) away from the edge see something else than plateau or background: an obstacle, a lamp.
 
-    Those that are off by more than so many usual residuals, and their neighbours. A segment of which they are left out
-    still says where its edge is.
+    Those that are off by more than so many usual residuals, those of the good segments (S,), and their neighbours. A
+    segment of which they are left out still says where its edge is.
     """
     away = np.abs(terms.u - model.offset @ terms.boundary) > _AWAY * model.widths.mean
     off = np.abs(terms.values - seen.value) / np.sqrt(variance(model, seen))
-    if not off.size:
+    # Of all pixels, more than half may see something else: their median says nothing of the noise.
+    among = good[band.segment]
+    if not among.any():
         return away
-    usual = deviation(off)
+    usual = deviation(off[among])
     far = away & (off > _FOREIGN * usual) & (np.abs(terms.values - seen.value) > GOOD_SEGMENT * model.scale)
     return away & band.widened(far, int(np.ceil(_SKIRT * model.widths.mean))) if far.any() else far
 

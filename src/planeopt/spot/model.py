@@ -4,7 +4,7 @@ One blur round the spot, a plateau and a background that vary smoothly across it
 ellipse by a few waves.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -52,6 +52,12 @@ class Widths:
     def mean(self) -> float:
         """Standard deviation of the profile, px, where the beam's own scale is the mean one."""
         return float(np.sqrt(self.blur + self.line))
+
+    def turned(self, by: float) -> "Widths":
+        """Return the same, told from a major axis whose direction is `by` more, rad, of an ellipse nearly the same."""
+        c, s = float(np.cos(by)), float(np.sin(by))
+        x, y = self.lean
+        return replace(self, lean=(c * x + s * y, c * y - s * x))
 
     def total(self, scale: Array, stretched: Array | float = 0.0) -> Array:
         """Return the standard deviation (M,), px.

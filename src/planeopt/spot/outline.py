@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from planeopt.conic import conic_from_geometric
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 _CONVERGING = 1e-5  # rad: a turn that moves less leaves an error of less than its square
@@ -135,6 +136,16 @@ class Outline:
         step = np.minimum(place.astype(np.intp), count - 1)
         before = length[step]
         return before + (place - step) * (length[step + 1] - before)
+
+    def carried(self, marks: Mask, to: "Outline") -> Mask:
+        """Return which pieces (N,) of another ellipse near this one are marked, of N equal ones, by this one's (N,).
+
+        By where they lie: they are counted from the major axis, which of a nearly round ellipse may be any.
+        """
+        middle, _, _ = to.at(to.spaced(2 * len(marks))[1::2])
+        x, y = (self.local(middle) / [self.a, self.b]).T
+        place = (self.share_before(np.arctan2(y, x)) * len(marks)).astype(np.intp)
+        return marks[np.minimum(place, len(marks) - 1)]
 
     def at(self, theta: Array) -> tuple[Array, Array, Array]:
         """Return the points (N, 2) at eccentric angles (N,), outward normals (N, 2) and curvatures (N,), 1/px."""

@@ -35,16 +35,13 @@ class Start:
         Standard deviation of the profile, px.
     height : float
         Of the plateau (of the ridge) over the background, share of full scale.
-    theta : (N,) array
-        Eccentric angles of the normals, from 0 to 2 pi.
     seen : (N,) bool array
-        Where the boundary is.
+        On which of N equal pieces of its boundary it is to be seen.
     """
 
     outline: Outline
     width: float
     height: float
-    theta: Array
     seen: Mask
 
 
@@ -65,7 +62,7 @@ def rough_boundary(values: NDArray[np.float32], outline: Outline, kind: Kind, li
         If no ellipse can be seen.
     """
     cross = half_level_crossings if kind == "disc" else ridge_peaks
-    width, theta, seen, heights = 1.0, np.empty(0), np.empty(0, dtype=np.bool_), np.empty(0)
+    before, width, seen, heights = outline, 1.0, np.empty(0, dtype=np.bool_), np.empty(0)
     reach = max(6.0, 0.12 * outline.size, 2.0 * line_width)
     for turn in range(_ROUNDS):
         before = outline
@@ -88,7 +85,7 @@ def rough_boundary(values: NDArray[np.float32], outline: Outline, kind: Kind, li
         reach = max(4 * width + 3, 5.0)
         if turn > 0 and before.distance_to(outline) < _SETTLED * width:
             break
-    return Start(outline, width, float(np.median(heights[seen])), theta, seen)
+    return Start(outline, width, float(np.median(heights[seen])), before.carried(seen, outline))
 
 
 def _robust_ellipse(feet: Array, normals: Array, position: Array, height: Array) -> tuple[Outline, Mask]:

@@ -74,7 +74,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """What is known so far: an ellipse, a model, and which of S segments of the boundary are the spot's."""
+    """What is known so far: an ellipse, a model, and which of S segments of the ellipse's boundary are the spot's."""
 
     outline: Outline
     model: Model
@@ -146,12 +146,14 @@ def _improved(view: View, state: State) -> State:
     _require_pixels(inside)
     seen = fit.seen.part(inside)
     law = noise_law(seen, fit.terms.values[inside] - seen.value)
-    model = replace(fit.fitted.model, noise=law)
+    turn = found.outline.angle - fit.band.outline.angle
+    model = replace(fit.fitted.model, noise=law, widths=fit.fitted.model.widths.turned(turn))
     # A segment that was not looked at is as good as the nearest that was.
     looked = np.flatnonzero(fit.band.chosen)
     middle = (looked[1:] + looked[:-1] + 1) // 2
     nearest = looked[np.searchsorted(middle, np.arange(fit.band.count), side="right")]
-    return State(found.outline, model, fit.good[nearest], rough=False)
+    good = fit.band.outline.carried(fit.good[nearest], found.outline)
+    return State(found.outline, model, good, rough=False)
 
 
 def _fit(view: View, state: State, *, last: bool) -> BandFit:
@@ -189,7 +191,8 @@ def _attempt(band: Band, terms: Terms, model: Model, good: Mask, enough: float, 
     fitted = fitted_to(usable, model)
     seen = see(terms, fitted.model)
     # What is left out by what was measured is left out too often where the noise went up.
-    alone = unclipped(band, seen.value, fitted.model, measured=False) & ~foreign(band, terms, fitted.model, seen)
+    alone = unclipped(band, seen.value, fitted.model, measured=False)
+    alone &= ~foreign(band, terms, fitted.model, seen, good)
     # Less the light without the laser, full scale is lower: there the pixel itself says so.
     alone &= ~(band.clipped & (seen.value > band.values))
     if np.any(alone != usable):
