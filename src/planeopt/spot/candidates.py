@@ -189,13 +189,17 @@ def _compete(
     # Of a camera with fewer bits than its file, full scale says little.
     least = min(_MIN_CONTRAST, _LEAST_STEPS * grey.quantum) if grey.quantum else _MIN_CONTRAST
     floor, threshold = least * scale, max(_NOISE_FACTOR * noise, least) * scale
-    judged = search(levels, which, floor, threshold, box, beam)
+    closely = _Closely(levels, grey, threshold, kind, beam.known)
+    judged = search(levels, which, floor, threshold, box, beam, closely.settles)
     traced, verdicts = judged.traced, judged.verdicts
     candidates: list[Candidate] = []
     clutter = 0.0
     # What does not hold makes room for what it had kept out.
     for _ in range(_CHANCES):
-        candidates, failed = _confirmed(levels, judged, grey, threshold, kind, beam.known)
+        distinct = _distinct(judged)[:_JUDGED]
+        looks = [closely.look(judged, index) for index in distinct]
+        candidates = [look for look in looks if look is not None]
+        failed = [index for index, look in zip(distinct, looks, strict=True) if look is None]
         if not failed:
             break
         clutter = max(clutter, float(judged.rank[failed].max()))
@@ -218,19 +222,41 @@ def _compete(
     return candidates, _Rejected(verdicts[worst], (x, y))
 
 
-def _confirmed(
-    levels: list[Level], judged: Judged, grey: Grey, threshold: float, kind: Kind | None, told: bool
-) -> tuple[list[Candidate], list[int]]:
-    """Return the distinct finds that hold when looked at more closely, and the indices of those that do not."""
-    candidates, failed = [], []
-    for index in _distinct(judged)[:_JUDGED]:
-        traced = confirmed(levels, judged.traced[np.array([index])])
-        look = look_at(levels, traced.ellipses, kind)
-        if verdicts_on(traced, np.zeros(1), threshold, told)[0] is None and (told or _stands_alone(look, traced)):
-            candidates.append(_candidate(look, traced, float(judged.rank[index]), grey))
-        else:
-            failed.append(index)
-    return candidates, failed
+class _Closely:
+    """A closer look at single ellipses, once at each.
+
+    Parameters
+    ----------
+    levels : list of Level
+    grey : Grey
+    threshold : float
+        The least height of an edge, in units of the levels.
+    kind : {"disc", "ring"} or None
+        What it has to be.
+    told : bool
+        Whether a rig says where it can be.
+    """
+
+    def __init__(self, levels: list[Level], grey: Grey, threshold: float, kind: Kind | None, told: bool) -> None:
+        self._levels, self._grey, self._threshold, self._told = levels, grey, threshold, told
+        self._kind: Kind | None = kind
+        self._looks: dict[int, Candidate | None] = {}
+
+    def look(self, judged: Judged, index: int) -> Candidate | None:
+        """Return one ellipse as a candidate, or ``None`` if it does not hold."""
+        if index not in self._looks:
+            traced = confirmed(self._levels, judged.traced[np.array([index])])
+            look = look_at(self._levels, traced.ellipses, self._kind)
+            holds = verdicts_on(traced, np.zeros(1), self._threshold, self._told)[0] is None
+            holds = holds and (self._told or _stands_alone(look, traced))
+            strength = float(judged.rank[index])
+            self._looks[index] = _candidate(look, traced, strength, self._grey) if holds else None
+        return self._looks[index]
+
+    def settles(self, judged: Judged, index: int) -> bool:
+        """Return whether one ellipse is a spot of the right kind, and nearly all of it is seen."""
+        found = self.look(judged, index)
+        return found is not None and found.support > _PARTIAL and self._kind in (None, found.kind)
 
 
 def _stands_alone(look: Look, traced: Traced) -> bool:

@@ -1,6 +1,7 @@
 """Many ellipses at once: what the search compares, before one of them is an `Outline`."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,24 +36,31 @@ class Ellipses:
     @property
     def size(self) -> Array:
         """Radii (K,) of the circles of equal area, px."""
-        return np.sqrt(np.abs(np.linalg.det(self.shape)))
+        return np.sqrt(np.abs(self._turn))
 
     @property
     def semi_axes(self) -> Array:
         """Major and minor semi-axes (K, 2), px."""
-        return np.linalg.svd(self.shape, compute_uv=False)
+        # Their squares' sum is that of the matrix's elements, and their product its determinant.
+        squares, twice = (self.shape**2).sum(axis=(1, 2)), 2 * np.abs(self._turn)
+        total, apart = np.sqrt(squares + twice), np.sqrt(np.maximum(squares - twice, 0))
+        return np.stack([total + apart, total - apart], axis=1) / 2
+
+    @property
+    def _turn(self) -> Array:
+        """Determinants (K,): negative where the matrix mirrors the circle."""
+        return self.shape[:, 0, 0] * self.shape[:, 1, 1] - self.shape[:, 0, 1] * self.shape[:, 1, 0]
 
     def at(self, count: int) -> tuple[Array, Array, Array]:
         """Return points (K, N, 2), outward normals (K, N, 2) and the share (K, N) of the boundary that each stands for.
 
         Evenly spaced in eccentric angle: closer together where the boundary is more curved.
         """
-        t = 2 * np.pi * np.arange(count) / count
-        u = np.stack([np.cos(t), np.sin(t)])
-        points = self.centre[:, None, :] + (self.shape @ u).transpose(0, 2, 1)
-        tangents = (self.shape @ np.stack([-u[1], u[0]])).transpose(0, 2, 1)
+        around, ahead = _circle(count)
+        points = self.centre[:, None, :] + (self.shape @ around).transpose(0, 2, 1)
+        tangents = (self.shape @ ahead).transpose(0, 2, 1)
         length = np.maximum(np.hypot(tangents[..., 0], tangents[..., 1]), 1e-12)
-        turn = np.sign(np.linalg.det(self.shape))[:, None]
+        turn = np.sign(self._turn)[:, None]
         normals = np.stack([tangents[..., 1], -tangents[..., 0]], axis=-1) * (turn / length)[..., None]
         return points, normals, length / length.sum(axis=1, keepdims=True)
 
@@ -71,6 +79,17 @@ class Ellipses:
         x, y = self.centre[index].tolist()
         angle = float(np.arctan2(axes[1, 0], axes[0, 0]))
         return Outline(x, y, float(values[0]), float(values[1]), (angle + np.pi / 2) % np.pi - np.pi / 2)
+
+
+@cache
+def _circle(count: int) -> tuple[Array, Array]:
+    """Return points of the unit circle and unit tangents there, (2, N) each."""
+    t = 2 * np.pi * np.arange(count) / count
+    around = np.stack([np.cos(t), np.sin(t)])
+    ahead = np.stack([-around[1], around[0]])
+    for shared in (around, ahead):
+        shared.flags.writeable = False
+    return around, ahead
 
 
 def unlike(ellipses: Ellipses, merit: Array, share: float) -> NDArray[np.intp]:

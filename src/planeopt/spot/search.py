@@ -1,5 +1,6 @@
 """Follow up the bright places of an image, the most promising first, and judge what comes of them."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,8 +21,12 @@ _SEEDS, _CENTRES = 120, 16  # of a level
 _COARSE = 2  # levels: half and quarter size come after those
 _LEAST_SHARE, _LARGEST = 0.3, 9.0  # of a spot's height in the response of a level; px of the level
 _BATCHES = 4, 12, 12, 12, 16, 16  # seeds that are followed up together, and no more: that is what time there is
-_WORTH = 0.12  # of the best one's strength: a seed that promises less cannot rival it
+_WORTH = 0.12  # of the best one's strength: a seed that promises less cannot rival it,
+_WORTH_SETTLED = 0.2  # nor one that promises less than that, if the best one was looked at closely
+_NEARLY = 0.4  # of the response to what fills a box of 5 px: that of a level of half the size, smoothed before
+_MANY = 20_000  # places: no quicker to look through than a level
 WHOLE = 0.85  # of the boundary
+_GLANCED = 20_000  # pixels: smaller levels are looked at first
 _VOTED = 150_000  # pixels: on larger levels edges do not vote, which takes long and finds small things
 _AGREE = 0.3  # of the rays
 _ALIKE = 0.1  # of the size: ellipses that differ by less are followed once
@@ -58,8 +63,25 @@ class Judged:
     seen: Array
     rank: Array
 
+    def and_also(self, others: "Judged") -> "Judged":
+        """Return these and others; the indices of these remain."""
+        return Judged(
+            together([self.traced, others.traced]),
+            [*self.verdicts, *others.verdicts],
+            np.concatenate([self.seen, others.seen]),
+            np.concatenate([self.rank, others.rank]),
+        )
 
-def search(levels: list[Level], which: range, floor: float, threshold: float, box: Box, beam: BeamHint) -> Judged:
+
+def search(
+    levels: list[Level],
+    which: range,
+    floor: float,
+    threshold: float,
+    box: Box,
+    beam: BeamHint,
+    settles: Callable[[Judged, int], bool],
+) -> Judged:
     """Follow up the bright places of an image until what is left cannot rival what was found.
 
     Parameters
@@ -73,20 +95,22 @@ def search(levels: list[Level], which: range, floor: float, threshold: float, bo
     box : tuple of int
         Where a place has to lie.
     beam : BeamHint
+    settles : callable
+        Whether the ellipse of an index, looked at more closely, is so clearly a spot that only what is nearly as strong
+        can make the choice a guess.
     """
-    found = _Search(levels, threshold, beam)
+    found = _Search(levels, which.start, floor, threshold, box, beam, settles)
+    coarse = [index for index in which if index >= _COARSE and levels[index].image.size < _VOTED] or [which.stop - 1]
+    small = [index for index in coarse if levels[index].image.size < _GLANCED] or coarse[-1:]
+    # Most spots are the most promising thing on the smallest levels. All that is left then is to look for rivals.
+    pending = found.follow_up(found.seeds(small), _BATCHES[:1])
+    others = found.seeds([index for index in coarse if index not in small])
+    found.follow_up(all_seeds([pending, others]), _BATCHES[1:])
     # The coarse levels cost next to nothing, and what they show need not be looked into on the finer ones.
-    coarse = [index for index in which if index >= _COARSE]
-    for group in (coarse, *([index] for index in reversed(which) if index < _COARSE)):
-        if group:
-            found.follow_up(all_seeds([_seeds(index, which.start, floor, box, found) for index in group]))
-    everything = found.everything
-    return Judged(
-        together([judged.traced for judged in everything]),
-        [verdict for judged in everything for verdict in judged.verdicts],
-        np.concatenate([np.empty(0), *(judged.seen for judged in everything)]),
-        np.concatenate([np.empty(0), *(judged.rank for judged in everything)]),
-    )
+    for index in range(coarse[0] - 1, which.start - 1, -1):
+        if not found.shows_nothing_else(index):
+            found.follow_up(found.seeds([index]), _BATCHES)
+    return found.judged
 
 
 class _Search:
@@ -95,68 +119,105 @@ class _Search:
     Parameters
     ----------
     levels : list of Level
-    threshold : float
-        The least height of an edge, in units of the image.
-    beam : BeamHint
+    finest : int
+        The first of those that are looked at.
+    floor, threshold, box, beam, settles
+        See `search`.
     """
 
-    def __init__(self, levels: list[Level], threshold: float, beam: BeamHint) -> None:
-        self.levels, self.threshold, self.beam = levels, threshold, beam
-        self.everything: list[Judged] = []
-        self.best = 0.0
-        image = levels[min(_COARSE, len(levels) - 1)].image
-        self.range = 2 * float(image.max() - image.min())
+    def __init__(
+        self,
+        levels: list[Level],
+        finest: int,
+        floor: float,
+        threshold: float,
+        box: Box,
+        beam: BeamHint,
+        settles: Callable[[Judged, int], bool],
+    ) -> None:
+        self._levels, self._finest, self._floor, self._threshold = levels, finest, floor, threshold
+        self._box, self._beam, self._settles = box, beam, settles
+        self.judged = Judged(together([]), [], np.empty(0), np.empty(0))
+        self._least = 0.0  # strength: what has less cannot rival what was found
         self._whole = self._known = joined([])
 
-    def explained(self, places: Array) -> NDArray[np.bool_]:
+    def seeds(self, group: list[int]) -> Seeds:
+        """Return the places that show at some levels and may be in a spot that rivals what was found already."""
+        shown = [self._places(index) for index in group]
+        every = np.concatenate([np.empty((0, 2)), *shown])
+        at = np.repeat(np.array(group, dtype=np.intp), [len(places) for places in shown])
+        kept = np.flatnonzero(_inside(every, self._box))
+        kept = kept[self._beam.allows(every[kept]) & ~self._explained(every[kept])]
+        # One level finer: from a part of an ellipse the rest follows only if the edges are in their places.
+        parts = [(max(index - 1, self._finest), every[kept[at[kept] == index]]) for index in group]
+        return all_seeds([seeds_at(self._levels, index, places) for index, places in parts])
+
+    def _places(self, index: int) -> Array:
+        level, floor = self._levels[index], self._faintest(index)
+        places = level.peaks(floor, _SEEDS)
+        return np.concatenate([places, centres(level, floor, _CENTRES)]) if level.image.size < _VOTED else places
+
+    def _faintest(self, index: int) -> float:
+        """Return the least response of a level to what can rival what was found."""
+        return max(self._floor, _LEAST_SHARE * (self._least / (_LARGEST * self._levels[index].factor)) ** 2)
+
+    def shows_nothing_else(self, index: int) -> bool:
+        """Return whether what is bright on a level lies in spots that are seen nearly whole.
+
+        Told from the next level, of a quarter of the pixels; what is bright only nearly as much counts there.
+        """
+        if not len(self._whole):
+            return False
+        places = self._levels[index + 1].brighter(_NEARLY * self._faintest(index))
+        return len(places) < _MANY and bool(np.all(self._explained(places) | ~_inside(places, self._box)))
+
+    def _explained(self, places: Array) -> NDArray[np.bool_]:
         """Return which places lie in a spot that is seen nearly whole: they have nothing else to say."""
         if not len(self._whole) or not len(places):
             return np.zeros(len(places), dtype=bool)
         radius = self._whole.radius_of(np.broadcast_to(places, (len(self._whole), *places.shape)))
         return np.any(radius < 1, axis=0)
 
-    def follow_up(self, pending: Seeds) -> None:
-        """Follow up seeds, the most promising first."""
+    def follow_up(self, pending: Seeds, batches: tuple[int, ...]) -> Seeds:
+        """Follow up seeds, the most promising first; return those that are left."""
         promise = pending.promise
         pending = pending[np.argsort(-promise, kind="stable")]
-        for count in _BATCHES:
-            pending = pending[pending.promise > max(_WORTH * self.best, 1e-12)]
+        for count in batches:
+            pending = pending[pending.promise > max(self._least, 1e-12)]
             if not len(pending):
                 break
             batch, pending = pending[:count], pending[count:]
             judged = self._judge(batch)
-            self.everything.append(judged)
-            self.best = max(self.best, float(judged.rank.max(initial=0.0)))
+            self.judged = self.judged.and_also(judged)
+            self._weigh()
             whole = judged.traced.ellipses[(judged.rank > 0) & (judged.seen > WHOLE)]
             self._whole = joined([self._whole, whole[unlike(whole, whole.size, _ALIKE)]])
-            pending = pending[~self.explained(pending.place)]
+            pending = pending[~self._explained(pending.place)]
+        return pending
+
+    def _weigh(self) -> None:
+        """Raise what a find has to be worth to that of the best one; more, if that is clearly a spot."""
+        if not len(self.judged.rank):
+            return
+        best = int(self.judged.rank.argmax())
+        rank = float(self.judged.rank[best])
+        self._least = max(self._least, _WORTH * rank)
+        if _WORTH_SETTLED * rank > self._least and self._settles(self.judged, best):
+            self._least = _WORTH_SETTLED * rank
 
     def _judge(self, seeds: Seeds) -> Judged:
         ellipses, share, found_at = ellipses_through(seeds)
         kept = np.flatnonzero((share > _AGREE) & ~like(ellipses, self._known, _SAME))
         kept = kept[unlike(ellipses[kept], share[kept], _ALIKE)]
-        traced = trace(self.levels, ellipses[kept], found_at[kept])
-        misfit = self.beam.misfit(traced.ellipses)
-        verdicts = verdicts_on(traced, misfit, self.threshold, self.beam.known)
+        traced = trace(self._levels, ellipses[kept], found_at[kept])
+        misfit = self._beam.misfit(traced.ellipses)
+        verdicts = verdicts_on(traced, misfit, self._threshold, self._beam.known)
         seen = np.maximum(traced.support - traced.beyond, 0)
-        seen = np.where(self.beam.known & (misfit < _FITS), np.maximum(seen, traced.support / 2), seen)
+        seen = np.where(self._beam.known & (misfit < _FITS), np.maximum(seen, traced.support / 2), seen)
         rank = traced.ellipses.size * np.sqrt(traced.height) * (seen * traced.sharpness) ** 2 / (1 + misfit**2)
         good = np.array([verdict is None for verdict in verdicts], dtype=bool)
         self._known = joined([self._known, ellipses[kept], traced.ellipses[good]])
         return Judged(traced, verdicts, seen, np.where(good, rank, 0))
-
-
-def _seeds(index: int, finest: int, floor: float, box: Box, found: _Search) -> Seeds:
-    """Return the places that show at a level and may be in a spot that rivals what was found already."""
-    level = found.levels[index]
-    # What is so faint that it cannot rival what was found.
-    floor = max(floor, _LEAST_SHARE * (_WORTH * found.best / (_LARGEST * level.factor)) ** 2)
-    places = level.peaks(floor, _SEEDS) if floor < found.range else np.empty((0, 2))
-    if level.image.size < _VOTED:
-        places = np.concatenate([places, centres(level, floor, _CENTRES)])
-    places = places[_inside(places, box) & found.beam.allows(places) & ~found.explained(places)]
-    # One level finer: from a part of an ellipse the rest follows only if the edges are in their places.
-    return seeds_at(found.levels, max(index - 1, finest), places)
 
 
 def _inside(places: Array, box: Box) -> NDArray[np.bool_]:

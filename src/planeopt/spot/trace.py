@@ -6,6 +6,7 @@ lie off by more than the noise explains, and it is not a spot.
 """
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,7 @@ _BRIGHT = 0.8  # of the plateau's height: what is so bright is not the surroundi
 _TOLERANCE = 0.25, 0.012  # px of the level, and of the radius: what an ellipse may be off by itself
 _JITTER = 2.5  # by what the noise of the edges adds to that,
 _MAX_JITTER = 0.5, 0.04  # up to so many px, and of the radius
+_UNIT = np.eye(5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,11 +149,10 @@ def together(parts: list[Traced]) -> Traced:
 def _follow(level: Level, ellipses: Ellipses, rounds: int, count: int = _NORMALS) -> Traced:
     """Move ellipses to the edges within a few pixels of a level, and judge them there."""
     for _ in range(rounds):
-        offset, height, seen, _, normals, share = _edges(level, ellipses, count)
-        points, _, _ = ellipses.at(count)
+        offset, height, seen, _, points, normals, share = _edges(level, ellipses, count)
         weight = share * np.minimum(height / _typical(height, seen)[:, None], 1.0) * seen
         ellipses = adjusted(ellipses, points, normals, offset * level.factor, weight, level.factor)
-    offset, height, seen, beyond, _, share = _edges(level, ellipses, count)
+    offset, height, seen, beyond, _, _, share = _edges(level, ellipses, count)
     typical = _typical(height, seen)
     size = ellipses.size / level.factor
     limit = _TOLERANCE[0] + _TOLERANCE[1] * size
@@ -174,11 +175,13 @@ def _follow(level: Level, ellipses: Ellipses, rounds: int, count: int = _NORMALS
     )
 
 
-def _edges(level: Level, ellipses: Ellipses, count: int) -> tuple[Array, Array, NDArray[np.bool_], Array, Array, Array]:
+def _edges(
+    level: Level, ellipses: Ellipses, count: int
+) -> tuple[Array, Array, NDArray[np.bool_], Array, Array, Array, Array]:
     """Return where along each normal (K, N) the brightness falls most, px of the level, and by how much.
 
     Further: which normals are on the image, how much brighter than the surroundings it is at their outer end and
-    where it is brightest (K, N, 2), the normals (K, N, 2) themselves and the share of the boundary of each.
+    where it is brightest (K, N, 2), the points on the ellipses, the normals (K, N, 2), and the share of each.
     """
     points, normals, share = ellipses.at(count)
     # Past the middle of a narrow ellipse lies its other side.
@@ -191,45 +194,50 @@ def _edges(level: Level, ellipses: Ellipses, count: int) -> tuple[Array, Array, 
     fall = (grey[..., :-5] + grey[..., 1:-4] - grey[..., 4:-1] - grey[..., 5:]) / 2
     middle = t[:-5] + 2.5 * _STEP
     near = np.clip(1.3 - 0.5 * np.abs(middle) / reach[:, None], 0, 1) * (np.abs(middle) <= reach[:, None])
-    best = (fall * near[:, None]).argmax(axis=2)[..., None]
-    at = np.take_along_axis(fall, best, axis=2)[..., 0]
-    last = len(middle) - 1
-    before = np.take_along_axis(fall, np.maximum(best - 1, 0), axis=2)[..., 0]
-    after = np.take_along_axis(fall, np.minimum(best + 1, last), axis=2)[..., 0]
+    best = (fall * near[:, None]).argmax(axis=2)
+    rows, columns = np.ogrid[: len(ellipses), :count]
+    at = fall[rows, columns, best]
+    before = fall[rows, columns, np.maximum(best - 1, 0)]
+    after = fall[rows, columns, np.minimum(best + 1, len(middle) - 1)]
     bend = 2 * at - before - after
     fine = np.where(bend > 0, (after - before) / (2 * np.where(bend > 0, bend, 1)), 0)
-    offset = middle[best[..., 0]] + _STEP * np.clip(fine, -0.5, 0.5)
-    dark = np.sort(grey[..., -1], axis=1)[:, count // 4]
+    offset = middle[best] + _STEP * np.clip(fine, -0.5, 0.5)
+    dark = np.partition(grey[..., -1], count // 4, axis=1)[:, count // 4]
     beyond = np.stack([grey[..., -1], grey.max(axis=2)], axis=2) - dark[:, None, None]
-    return offset, np.maximum(at, 0), seen, beyond, normals, share
+    return offset, np.maximum(at, 0), seen, beyond, points, normals, share
 
 
 def _typical(height: Array, which: NDArray[np.bool_]) -> Array:
     """Return the median height (K,) of those that count, or a little more than nothing."""
     ordered = np.sort(np.where(which, height, np.inf), axis=1)
     count = which.sum(axis=1)
-    middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[:, None] // 2, axis=1)[:, 0]
+    middle = ordered[np.arange(len(ordered)), np.maximum(count - 1, 0) // 2]
     return np.where(count > 0, np.maximum(middle, 1e-9), 1e-9)
+
+
+@cache
+def _neighbours(count: int, before: int, after: int) -> NDArray[np.intp]:
+    """Return the indices (M, N) of the normals from so many before each to so many after it, round the ellipse."""
+    steps = np.arange(-before, after + 1)[:, None]
+    indices = (np.arange(count) + steps) % count
+    indices.flags.writeable = False
+    return indices
 
 
 def _runs(good: NDArray[np.bool_]) -> Array:
     """Return in how many runs (K,) the normals are good, small gaps that noise makes left aside."""
-    wide, closed = good.copy(), np.ones_like(good)
-    gap = good.shape[1] // _GAPS
-    for step in range(1, gap + 1):
-        wide |= np.roll(good, step, axis=1)
-    for step in range(gap + 1):
-        closed &= np.roll(wide, -step, axis=1)
-    return (closed & ~np.roll(closed, 1, axis=1)).sum(axis=1).astype(np.float64)
+    count = good.shape[1]
+    gap = count // _GAPS
+    wide = np.asarray(np.any(good[:, _neighbours(count, gap, 0)], axis=1))
+    closed = np.asarray(np.all(wide[:, _neighbours(count, 0, gap)], axis=1))
+    return (closed & ~closed[:, _neighbours(count, 1, -1)[0]]).sum(axis=1).astype(np.float64)
 
 
 def _bend(offset: Array, good: NDArray[np.bool_]) -> Array:
     """Return the RMS (K,) of the edges' places, averaged over a tenth of the normals, which leaves little noise."""
-    total, count = np.zeros_like(offset), np.zeros(offset.shape)
     half = offset.shape[1] // _GAPS
-    for step in range(-half, half + 1):
-        total += np.roll(np.where(good, offset, 0), step, axis=1)
-        count += np.roll(good, step, axis=1)
+    near = _neighbours(offset.shape[1], half, half)
+    total, count = np.where(good, offset, 0)[:, near].sum(axis=1), good[:, near].sum(axis=1)
     mean = total / np.maximum(count, 1)
     use = good & (count > half)
     return np.sqrt((mean**2 * use).sum(axis=1) / np.maximum(use.sum(axis=1), 1))
@@ -239,11 +247,11 @@ def _jitter(offset: Array, height: Array, typical: Array) -> Array:
     """Return the scatter (K,) of the edges' places from one normal to the next, which no smooth shape makes."""
     # Normals closer together than those of the first look share pixels, and their noise.
     step = offset.shape[1] // _NORMALS
-    second = np.abs(np.roll(offset, step, axis=1) - 2 * offset + np.roll(offset, -step, axis=1))
+    near = _neighbours(offset.shape[1], step, step)[::step]
+    before, here, after = near
+    second = np.abs(offset[:, before] - 2 * offset[:, here] + offset[:, after])
     there = height > _HEIGHT[0] * typical[:, None]
-    return _typical(second, there & np.roll(there, step, axis=1) & np.roll(there, -step, axis=1)) / (
-        MEDIAN_OF_NORMAL * np.sqrt(6.0)
-    )
+    return _typical(second, np.asarray(np.all(there[:, near], axis=1))) / (MEDIAN_OF_NORMAL * np.sqrt(6.0))
 
 
 def adjusted(ellipses: Ellipses, points: Array, normals: Array, offset: Array, weight: Array, pixel: float) -> Ellipses:
@@ -261,8 +269,8 @@ def adjusted(ellipses: Ellipses, points: Array, normals: Array, offset: Array, w
         use = weight * np.clip(1 - (residual / (3 * spread)) ** 2, 0, 1) ** 2
         weighted = (design * use[..., None]).transpose(0, 2, 1)
         normal = weighted @ design
-        ridge = 1e-3 * np.trace(normal, axis1=1, axis2=2)[:, None, None] + 1e-9
-        change = np.linalg.solve(normal + ridge * np.eye(5), weighted @ offset[..., None])[..., 0]
+        ridge = 1e-3 * np.einsum("kii->k", normal)[:, None, None] + 1e-9
+        change = np.linalg.solve(normal + ridge * _UNIT, weighted @ offset[..., None])[..., 0]
     limit = _WINDOW * pixel
     change = np.clip(change, -limit, limit)
     s = change[:, 2:] / scale
