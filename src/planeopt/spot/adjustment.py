@@ -29,7 +29,8 @@ _CLASSES = 12  # of height, in which the noise is looked at
 _START_PIXELS = 4000  # of more, so many are fitted to before all are
 # Of the width: after a step of Gauss-Newton no longer than this, what is left is of the order of its square, and the
 # segments find that by themselves; a reweighted fit comes near its end more slowly.
-_SETTLED, _NEARLY = 0.03, 3e-3
+_SETTLED, _NEARLY = 0.05, 3e-3
+_EXCHANGED = 0.2  # blur for line at the same width: it hardly changes the profile
 
 
 def noise_law(seen: Seen, residual: Array) -> Array:
@@ -265,4 +266,6 @@ def _moved(model: Model, change: Array) -> tuple[Model, float]:
         offset=model.offset + damping * change[:n],
         surface=model.surface + change[n:m],
     )
-    return moved, max(size, abs(blur - widths.blur) / total, abs(line - widths.line) / total)
+    wider, exchanged = blur + line - total, _EXCHANGED * (line - widths.line)
+    leaning = max(abs(lean[0] - widths.lean[0]), abs(lean[1] - widths.lean[1]))
+    return moved, max(size, abs(wider) / total, abs(exchanged) / total, leaning)
