@@ -213,6 +213,23 @@ def test_two_are_ambiguous_without_a_hint() -> None:
     assert error(found(noisy(20 + 150 * disc(LEFT)), previous=(600.0, 440.0)), LEFT) < 1.0
 
 
+@pytest.mark.parametrize("shape", [(1024, 1280), (3000, 4000)])
+@pytest.mark.parametrize("kind", ["disc", "ring"])
+@pytest.mark.parametrize(("radius", "height", "rivals"), [(20.0, 200.0, True), (30.0, 110.0, True), (3.8, 60.0, False)])
+def test_a_small_rival_of_what_is_found_first(
+    shape: tuple[int, int], kind: Kind, radius: float, height: float, rivals: bool
+) -> None:
+    # The large one shows on the smallest levels. By size times the root of the height, the others have 0.63, 0.70 and
+    # 0.07 of its strength as a disc; a fine line is up to half as strong again, its edges are falls all the way down.
+    image = np.full(shape, 20.0)
+    image[:480, :640] += 80 * spot(kind, Outline(300.0, 220.0, 52.0, 48.0, 0.5))
+    image[-480:, -640:] += height * disc(Outline(400.0, 300.0, radius + 0.5, radius - 0.5, 0.2))
+    if rivals:
+        assert refusal(noisy(image)) is NoSpotReason.SEVERAL
+    else:
+        assert error(found(noisy(image)), Outline(300.0, 220.0, 52.0, 48.0, 0.5)) < 1.0
+
+
 def test_disc_and_ring_are_told_apart_by_the_kind_asked_for() -> None:
     image = noisy(20 + 150 * (disc(LEFT) + ring(RIGHT)))
     assert refusal(image) is NoSpotReason.SEVERAL

@@ -12,7 +12,7 @@ from planeopt.spot.ellipses import Ellipses, from_outline, unlike
 from planeopt.spot.grey import to_grey
 from planeopt.spot.hints import BeamHint, region_box
 from planeopt.spot.outline import Outline
-from planeopt.spot.pyramid import pixel_noise, pyramid
+from planeopt.spot.pyramid import Level, pixel_noise, pyramid
 
 CAMERA = Camera((1200, 900), 2000, 1990, 610, 440, (-0.15, 0.08, 5e-4, -3e-4, 0))
 RIG = Rig(CAMERA, Beam(6.0, (21.0, 16.0), (0.02, -0.01, float(np.sqrt(1 - 0.02**2 - 0.01**2)))))
@@ -116,6 +116,46 @@ def test_levels_lie_over_one_another() -> None:
         # A ramp stays one, smoothed and halved; interpolation in 1/32 px.
         np.testing.assert_allclose(found[0], places[0, :, 0], atol=0.05 * level.factor)
         assert not level.sample(np.array([[[3.0, 50.0]]]))[1].any()
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_a_part_of_a_level_is_smoothed_as_the_whole(dtype: type) -> None:
+    rng = np.random.default_rng(3)
+    image = rng.integers(0, 250, (200, 300)).astype(dtype)
+    for factor in (1, 2):
+        whole, part = (Level(image, factor, np.array([-0.5, -0.5]), 1.0) for _ in range(2))
+        assert whole.smooth.shape == image.shape
+        for x, y in ((0, 0), (150, 100), (292, 195)):
+            places = factor * (rng.uniform(-8, 8, (5, 7, 3, 2)) + np.array([x, y]))
+            expected, there = whole.sample(places)
+            found, also = part.sample(places)
+            assert np.array_equal(there, also)
+            assert np.array_equal(found[there], expected[there])
+        assert "smooth" not in part.__dict__
+
+
+def test_what_is_bright_shows_at_the_next_level() -> None:
+    rng = np.random.default_rng(4)
+    image = rng.normal(20, 2, (400, 600)).astype(np.float32)
+    places = np.stack(np.meshgrid(np.arange(30, 580, 41), np.arange(30, 380, 43)), axis=-1).reshape(-1, 2)
+    for x, y in places:
+        image[y - 2 : y + 3, x - 2 : x + 3] += 60
+    levels = pyramid(image, (0, 0), 2.0)
+    # Boxes of 5 px at every phase of pixels twice as large: by the mean in 6 px they still have (5 / 6)^2 of it.
+    for index, level in enumerate(levels[:2]):
+        shown = level.peaks(30.0 / 4**index, len(places))
+        nearby = levels[index + 1].brighter(0.4 * 30.0 / 4**index)
+        apart = np.linalg.norm(shown[:, None] - nearby, axis=2).min(axis=1)
+        assert len(shown) == len(places)
+        assert np.all(apart < 2 * level.factor)
+
+
+@settings(derandomize=True, max_examples=30, deadline=None)
+@given(outline=outlines)
+def test_sizes_in_closed_form(outline: Outline) -> None:
+    many = from_outline(outline)
+    np.testing.assert_allclose(many.semi_axes[0], [outline.a, outline.b], rtol=1e-9)
+    np.testing.assert_allclose(many.semi_axes[0], np.linalg.svd(many.shape[0], compute_uv=False), rtol=1e-9)
 
 
 def test_noise_of_rounded_values() -> None:
