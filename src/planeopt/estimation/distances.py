@@ -1,0 +1,332 @@
+"""Orthogonal distances of boundary points from the image of a plane's spot, many planes and points at once.
+
+The image ellipse of a plane is the zero set of ``F(x; z_L, p, q)``, (6) in slopes. A point's foot is the point of the
+ellipse nearest to it in the metric of its own noise ``V``; its distance ``d`` is counted in standard deviations and is
+positive outside. With ``F = 0`` and ``x - foot = m V grad F(foot)``, the foot hangs on one number ``m``, whose Newton
+iteration begins at 0, so that its first step is the Sampson distance. The distance's exact derivative is Sampson's,
+taken at the foot: ``d(d)/d plane = (dF/d plane) / sqrt(grad F' V grad F)``.
+
+Everything runs in coordinates centred on the points and scaled to their size, where nothing cancels, and F, its
+gradient and its derivatives by the plane are matrix products with the monomials of the points.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planeopt import equations as eq
+from planeopt.errors import InputError
+
+Array = NDArray[np.float64]
+
+FOOT_TOLERANCE = 1e-9
+"""A Newton step that moves no distance by more than this share of a standard deviation (of the distance, where that is
+larger) ends the search for the feet."""
+
+MAX_FOOT_STEPS = 40
+"""Two or three are usual; points near the centre of an ellipse need most."""
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """Boundary points with their noise, ready for distances from any number of planes.
+
+    Attributes
+    ----------
+    origin : (..., 2)
+        Of the local coordinates, mm.
+    unit : (...)
+        Of the local coordinates, mm.
+    monomials : (..., 6, N)
+        ``x^2, xy, y^2, x, y, 1`` of the points, local.
+    covariance : three arrays broadcasting to (..., N)
+        xx, xy, yy of the points' noise in local units; the identity where it is isotropic.
+    precision : three arrays broadcasting to (..., N)
+        Its inverse.
+    weight : array broadcasting to (..., N)
+        What distances in this metric are multiplied by: 1, or one over sigma where noise is isotropic; 0 for padding.
+    """
+
+    origin: Array
+    unit: Array
+    monomials: Array
+    covariance: tuple[Array, Array, Array]
+    precision: tuple[Array, Array, Array]
+    weight: Array
+
+    @classmethod
+    def of(cls, points: ArrayLike, noise: ArrayLike, used: NDArray[np.bool_] | None = None) -> "Boundary":
+        """Prepare points; nothing is checked, so that batches can mark their bad rows themselves.
+
+        Parameters
+        ----------
+        points : (..., N, 2)
+            On the laser-parallel image plane, mm.
+        noise : scalar, (..., N) or (..., N, 2, 2)
+            Standard deviations (mm), or covariances (mm^2).
+        used : (..., N) of bool, optional
+            False for padding, which must be finite and near the points.
+        """
+        xy, given = np.asarray(points, dtype=float), np.asarray(noise, dtype=float)
+        x, y = xy[..., 0], xy[..., 1]
+        origin = np.stack([np.mean(x, axis=-1), np.mean(y, axis=-1)], axis=-1)
+        x, y = x - origin[..., :1], y - origin[..., 1:]
+        unit = np.sqrt((np.einsum("...i,...i", x, x) + np.einsum("...i,...i", y, y)) / x.shape[-1])
+        unit = np.where(unit > 0, unit, 1.0)
+        x, y = x / unit[..., None], y / unit[..., None]
+        one = np.ones(())
+        if given.ndim >= 3 and given.shape[-2:] == (2, 2):
+            xx, xy_, yy = (given[..., i, j] / unit[..., None] ** 2 for i, j in ((0, 0), (0, 1), (1, 1)))
+            size = xx * yy - xy_ * xy_
+            covariance, precision, weight = (xx, xy_, yy), (yy / size, -xy_ / size, xx / size), one
+        else:
+            covariance = precision = (one, np.zeros(()), one)
+            weight = unit[..., None] / given
+        if used is not None:
+            weight = np.where(used, weight, 0.0)
+        return cls(origin, unit, _monomials(x, y), covariance, precision, weight)
+
+    def __getitem__(self, rows: Any) -> "Boundary":
+        """Return some rows of the leading dimension."""
+        return Boundary(
+            self.origin[rows],
+            self.unit[rows],
+            self.monomials[rows],
+            _some(self.covariance, rows),
+            _some(self.precision, rows),
+            self.weight[rows] if self.weight.ndim > 1 else self.weight,
+        )
+
+    @property
+    def x(self) -> Array:
+        """Local coordinate, (..., N)."""
+        return self.monomials[..., 3, :]
+
+    @property
+    def y(self) -> Array:
+        """Local coordinate, (..., N)."""
+        return self.monomials[..., 4, :]
+
+
+def _some(parts: tuple[Array, Array, Array], rows: Any) -> tuple[Array, Array, Array]:
+    first, second, third = (part[rows] if part.ndim > 1 else part for part in parts)
+    return first, second, third
+
+
+def _monomials(x: Array, y: Array) -> Array:
+    made = np.empty((*x.shape[:-1], 6, x.shape[-1]))
+    np.multiply(x, x, out=made[..., 0, :])
+    np.multiply(x, y, out=made[..., 1, :])
+    np.multiply(y, y, out=made[..., 2, :])
+    made[..., 3, :], made[..., 4, :], made[..., 5, :] = x, y, 1.0
+    return made
+
+
+@dataclass(frozen=True)
+class Conics:
+    """Image ellipses of planes in local coordinates: coefficients over `Boundary.monomials`.
+
+    Attributes
+    ----------
+    value : (..., 3, 6)
+        Of F and of the two components of its gradient.
+    by_plane : (..., 3, 6)
+        Of the derivatives of F by ``z_L``, ``p``, ``q``.
+    """
+
+    value: Array
+    by_plane: Array
+
+    @classmethod
+    def of(cls, planes: Array, setup: eq.Setup, boundary: Boundary) -> "Conics":
+        """Coefficients for planes (..., 3) in the coordinates of the points.
+
+        ``F = a_1^2 + a_2^2 - r^2 l^2`` with the linear forms ``l = f - p x - q y``, ``a = w (x, y) - e l``,
+        ``w = z_L - p e_x - q e_y``. With ``s = e_y x - e_x y`` its derivatives are ``2 (a_1 x + a_2 y)``,
+        ``2 (a_2 s + r^2 l x)`` and ``2 (-a_1 s + r^2 l y)``.
+        """
+        z_L, p, q = planes[..., 0], planes[..., 1], planes[..., 2]
+        f, e_x, e_y, r = setup
+        ox, oy, unit = boundary.origin[..., 0], boundary.origin[..., 1], boundary.unit
+        w = z_L - p * e_x - q * e_y
+        nought = np.zeros_like(w)
+        x, y = (unit + nought, nought, ox + nought), (nought, unit + nought, oy + nought)
+        level = (-p * unit, -q * unit, f - p * ox - q * oy)
+        a1 = tuple(w * x_i - e_x * l_i for x_i, l_i in zip(x, level, strict=True))
+        a2 = tuple(w * y_i - e_y * l_i for y_i, l_i in zip(y, level, strict=True))
+        turn = tuple(e_y * x_i - e_x * y_i for x_i, y_i in zip(x, y, strict=True))
+        F = _product(a1, a1) + _product(a2, a2) - r**2 * _product(level, level)
+        value = np.zeros((3, *F.shape))
+        value[0] = F
+        value[1, 3], value[1, 4], value[1, 5] = 2 * F[0], F[1], F[3]
+        value[2, 3], value[2, 4], value[2, 5] = F[1], 2 * F[2], F[4]
+        by_plane = 2 * np.stack(
+            [
+                _product(a1, x) + _product(a2, y),
+                _product(a2, turn) + r**2 * _product(level, x),
+                r**2 * _product(level, y) - _product(a1, turn),
+            ]
+        )
+        return cls(np.moveaxis(value, (0, 1), (-2, -1)), np.moveaxis(by_plane, (0, 1), (-2, -1)))
+
+
+def _product(one: tuple[Array, ...], other: tuple[Array, ...]) -> Array:
+    """Coefficients (6, ...) of the product of two linear forms in ``(x, y, 1)``."""
+    (a, b, c), (d, e, g) = one, other
+    return np.stack([a * d, a * e + b * d, b * e, a * g + c * d, b * g + c * e, c * g])
+
+
+@dataclass(frozen=True)
+class Feet:
+    """The points' feet on their ellipses.
+
+    Attributes
+    ----------
+    multiplier : (..., N)
+        ``m``: where the next search may begin.
+    distance : (..., N)
+        Signed, in standard deviations; 0 for padding.
+    dx, dy : (..., N)
+        Point minus foot, local.
+    rate : (..., N)
+        By how much the distance changes with F at the foot: weight over ``sqrt(grad F' V grad F)``; 0 for padding.
+    """
+
+    multiplier: Array
+    distance: Array
+    dx: Array
+    dy: Array
+    rate: Array
+
+
+def feet(conics: Conics, boundary: Boundary, start: Array | None = None, tolerance: float = FOOT_TOLERANCE) -> Feet:
+    """Find the nearest points of the ellipses.
+
+    Parameters
+    ----------
+    conics : Conics
+        Ellipses; leading dimensions broadcast with the boundary's.
+    boundary : Boundary
+    start : (..., N), optional
+        Multipliers to begin with; 0 unless given.
+    tolerance : float
+        Of the distances, as `FOOT_TOLERANCE`.
+    """
+    at_point = conics.value @ boundary.monomials
+    value, gx, gy = at_point[..., 0, :], at_point[..., 1, :], at_point[..., 2, :]
+    quadratic = conics.value[..., 0, :3]
+    axx, axy, ayy = quadratic[..., :1], quadratic[..., 1:2] / 2, quadratic[..., 2:]
+    pole = _pole(axx, axy, ayy, boundary)
+    wxx, wxy, wyy = boundary.precision
+    isotropic, weight = wxx.ndim == 0, boundary.weight
+
+    def bent(m: Array) -> tuple[Array, ...]:
+        """``S = V^-1 + 2 m A`` and its determinant's inverse; ``u = S^-1 grad F(x)``; ``h = V^-1 u = grad F(foot)``."""
+        twice = m + m
+        sxx, sxy, syy = wxx + twice * axx, wxy + twice * axy, wyy + twice * ayy
+        size = 1 / (sxx * syy - sxy * sxy)
+        ux, uy = (syy * gx - sxy * gy) * size, (sxx * gy - sxy * gx) * size
+        hx, hy = (ux, uy) if isotropic else (wxx * ux + wxy * uy, wxy * ux + wyy * uy)
+        return sxx, sxy, syy, size, ux, uy, hx, hy, ux * hx + uy * hy
+
+    m = np.zeros_like(value) if start is None else np.maximum(start, 0.5 * pole)
+    for _ in range(MAX_FOOT_STEPS):
+        sxx, sxy, syy, size, ux, uy, hx, hy, steepness = bent(m)
+        left = value - 0.5 * m * (ux * (gx + hx) + uy * (gy + hy))
+        step = left / ((syy * hx * hx - 2 * sxy * hx * hy + sxx * hy * hy) * size)
+        # Left of the pole lie the farthest points of the ellipse; right of it F falls and is convex: Newton's steps
+        # come back from the left without fail.
+        step = np.maximum(step, 0.5 * (pole - m))
+        m = m + step
+        moved, limit = np.abs(step) * weight, tolerance * (1 / np.sqrt(steepness) + np.abs(m) * weight)
+        if np.all(moved <= limit):
+            break
+    _, _, _, _, ux, uy, _, _, steepness = bent(m)
+    height = np.sqrt(steepness)
+    return Feet(m, m * height * weight, m * ux, m * uy, weight / height)
+
+
+def _pole(axx: Array, axy: Array, ayy: Array, boundary: Boundary) -> Array:
+    """Below which the foot would be a farthest point: minus one over twice the largest eigenvalue of ``V A``."""
+    cxx, cxy, cyy = boundary.covariance
+    half = (cxx * axx + 2 * cxy * axy + cyy * ayy) / 2
+    size = (cxx * cyy - cxy * cxy) * (axx * ayy - axy * axy)
+    return -0.5 / (half + np.sqrt(np.maximum(half * half - size, 0.0)))
+
+
+def monomials_at_feet(found: Feet, boundary: Boundary) -> Array:
+    """Local monomials (..., 6, N) of the feet."""
+    return _monomials(boundary.x - found.dx, boundary.y - found.dy)
+
+
+def seen(planes: Array, setup: eq.Setup) -> NDArray[np.bool_]:
+    """Whether the whole spot is before the camera, ``z_L > r |n|``, and its lit side faces it, ``c > 0``; (...)."""
+    v = eq.SlopeVariables(None, planes[..., 0], planes[..., 1], planes[..., 2])
+    ahead = (planes[..., 0] > 0) & (eq.in_front_in_slopes(np, v, setup) > 0)
+    return np.asarray(ahead & (eq.lit_side_in_slopes(np, v, setup) > 0))
+
+
+def distances(planes: ArrayLike, points: ArrayLike, noise: ArrayLike, setup: eq.Setup) -> Array:
+    """Signed orthogonal distances of points from the image ellipses of planes, in standard deviations.
+
+    Parameters
+    ----------
+    planes : (..., 3)
+        ``(z_L, p, q)`` in the equations' sense (`z_L` the spot centre's z in the laser-parallel frame).
+    points : (..., N, 2)
+        On the laser-parallel image plane, mm. Leading dimensions broadcast with the planes'.
+    noise : scalar, (..., N) or (..., N, 2, 2)
+        Standard deviations (mm) or covariances (mm^2) of the points.
+    setup : Setup
+
+    Returns
+    -------
+    (..., N)
+        Positive outside the ellipse; infinite for a plane whose spot is not wholly before the camera, or that shows
+        it its dark side.
+    """
+    return distances_from(planes, Boundary.of(_points(points), noise), setup)
+
+
+def distances_from(planes: ArrayLike, boundary: Boundary, setup: eq.Setup, tolerance: float = FOOT_TOLERANCE) -> Array:
+    """As `distances`, from points prepared once for many calls, to a tolerance as of `feet`."""
+    (_, found), visible = _feet_of_seen(_planes(planes), boundary, setup, tolerance)
+    return np.where(visible[..., None], found.distance, np.inf)
+
+
+def distances_and_derivatives(
+    planes: ArrayLike, points: ArrayLike, noise: ArrayLike, setup: eq.Setup
+) -> tuple[Array, Array]:
+    """`distances` (..., N), and their exact derivatives (..., N, 3) by ``(z_L, p, q)``; NaN where they are infinite."""
+    boundary, wanted = Boundary.of(_points(points), noise), _planes(planes)
+    (conics, found), visible = _feet_of_seen(wanted, boundary, setup)
+    rows = (conics.by_plane @ monomials_at_feet(found, boundary)) * found.rate[..., None, :]
+    derivative = np.where(visible[..., None, None], np.swapaxes(rows, -1, -2), np.nan)
+    return np.where(visible[..., None], found.distance, np.inf), derivative
+
+
+def _feet_of_seen(
+    planes: Array, boundary: Boundary, setup: eq.Setup, tolerance: float = FOOT_TOLERANCE
+) -> tuple[tuple[Conics, Feet], NDArray[np.bool_]]:
+    """Feet on the ellipses of planes; where a plane is not seen, on another's in its place."""
+    visible = seen(planes, setup)
+    harmless = np.array([setup.f * setup.r, 0.0, 0.0])
+    conics = Conics.of(np.where(visible[..., None], planes, harmless), setup, boundary)
+    with np.errstate(all="ignore"):  # a foot at a centre of curvature divides zero by zero
+        return (conics, feet(conics, boundary, tolerance=tolerance)), visible
+
+
+def _planes(values: ArrayLike) -> Array:
+    planes = np.asarray(values, dtype=float)
+    if planes.ndim == 0 or planes.shape[-1] != 3:
+        raise InputError(f"planes must be (z_L, p, q), of shape (..., 3), not {planes.shape}")
+    return planes
+
+
+def _points(values: ArrayLike) -> Array:
+    points = np.asarray(values, dtype=float)
+    if points.ndim < 2 or points.shape[-1] != 2:
+        raise InputError(f"points must have shape (..., N, 2), not {points.shape}")
+    return points
