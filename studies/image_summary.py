@@ -10,9 +10,7 @@ import scipy.stats
 from studies.image_cells import CellRow
 from studies.image_flags import FlagRow
 from studies.image_poses import MAHALANOBIS, PoseRow
-
-LEVEL = 0.001
-"""Family-wise: how rarely right code may fail any of a family's two-sided tests."""
+from studies.statistics import LEVEL
 
 RIGHT = 0.98
 KNOWN_PX = 0.005

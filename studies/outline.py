@@ -13,6 +13,7 @@ Array = NDArray[np.float64]
 
 _PLACES = 4000
 _WIDER = 1e-4  # of the radius, for a difference quotient
+_TURN = 1e-5  # rad, the same
 
 
 def spot_in_space(rig: Rig, pose: SpotPose, count: int, radii: float = 1.0) -> Array:
@@ -20,11 +21,22 @@ def spot_in_space(rig: Rig, pose: SpotPose, count: int, radii: float = 1.0) -> A
 
     `radii` is the radius of the mantle over the beam's.
     """
+    return spot_at(rig, pose, np.linspace(0, 2 * np.pi, count, endpoint=False), radii)
+
+
+def spot_at(rig: Rig, pose: SpotPose, angle: Array, radii: float = 1.0) -> Array:
+    """As `spot_in_space`, at given angles round the beam."""
     beam, plane = rig.require_beam(), rig.plane_from_pose(pose)
-    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
-    rim = radii * beam.radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(count)], axis=1) @ rig.Q
+    rim = radii * beam.radius * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1) @ rig.Q
     along, start = np.array(beam.direction), np.array([*beam.offset, 0.0]) + rim
     return start - (plane.distance_to(start) / (plane.normal @ along))[:, None] * along
+
+
+def pixels_at(rig: Rig, pose: SpotPose, angle: Array) -> tuple[Array, Array]:
+    """Return the boundary's pixels (N, 2) at angles (N,) round the beam, and its unit normals there."""
+    before, here, after = (project(rig, spot_at(rig, pose, angle + step)) for step in (-_TURN, 0.0, _TURN))
+    tangent = after - before
+    return here, np.stack([tangent[:, 1], -tangent[:, 0]], axis=1) / np.hypot(*tangent.T)[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,13 +63,13 @@ class TrueBoundary:
     @classmethod
     def of(cls, rig: Rig, pose: SpotPose, count: int = _PLACES) -> "TrueBoundary":
         """Project the spot; tangents are central differences."""
-        pixels = _project(rig, spot_in_space(rig, pose, count))
+        pixels = project(rig, spot_in_space(rig, pose, count))
         tangent = (np.roll(pixels, -1, axis=0) - np.roll(pixels, 1, axis=0)) / 2
         lengths = np.hypot(*tangent.T)
         normals = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1) / lengths[:, None]
         outwards = np.sign(np.sum(normals * (pixels - pixels.mean(axis=0)), axis=1))
         normals = normals * outwards[:, None]
-        wider = _project(rig, spot_in_space(rig, pose, count, 1 + _WIDER))
+        wider = project(rig, spot_in_space(rig, pose, count, 1 + _WIDER))
         stretch = np.sum((wider - pixels) * normals, axis=1) / (_WIDER * rig.require_beam().radius)
         return cls(pixels, normals, lengths, stretch)
 
@@ -81,5 +93,6 @@ class TrueBoundary:
         return nearest, np.maximum(stands, 1e-3)
 
 
-def _project(rig: Rig, space: Array) -> Array:
+def project(rig: Rig, space: Array) -> Array:
+    """Return the raw pixels (N, 2) of points (N, 3) in the camera frame."""
     return rig.camera.project(space[:, :2] / space[:, 2:])

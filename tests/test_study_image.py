@@ -17,7 +17,8 @@ from studies.__main__ import RESULTS, STUDIES
 from studies.image_cells import CellRow, Image, cells_of, measure_image, summary
 from studies.image_flags import FlagRow
 from studies.image_poses import CASES, HARD, Job, PoseRow, measure_pose
-from studies.image_summary import LEVEL, RIGHT, CaseRow, HonestyRow, cases_of, finding, headline, honesty_of
+from studies.image_summary import RIGHT, CaseRow, HonestyRow, cases_of, finding, headline, honesty_of
+from studies.statistics import LEVEL
 from studies.study import Mode, read_rows, write
 
 COMMITTED = RESULTS / "image"
