@@ -215,12 +215,37 @@ class Uncertainty:
         Of ``(z_L, p, q)``; ``rig`` is zero where the rig has no covariance.
     normal_spot, normal_rig : (3, 3)
         Of the unit normal in the camera frame; the rig's part includes the beam direction's turn of the frame.
+    plane_by_rig, normal_by_rig : (3, n) or None
+        Derivatives by the parameters of the rig's covariance: what images of one rig have in common. None where the
+        rig has no covariance.
     """
 
     spot: Array
     rig: Array
     normal_spot: Array
     normal_rig: Array
+    plane_by_rig: Array | None = None
+    normal_by_rig: Array | None = None
+
+
+@dataclass(frozen=True)
+class RigTest:
+    """What one image's test of the rig is made of, so that many images can be tested together.
+
+    Attributes
+    ----------
+    misfit : (2,)
+        The part of the image ellipse's misfit that no plane can change, in standard deviations of the spot: white of
+        unit variance where rig and points are right.
+    by_rig : (2, n)
+        Its derivative by the parameters of the rig's covariance; n is 0 without one.
+    by_beam : (2, 4)
+        Its derivative by e_x, e_y (mm), direction_x and direction_y.
+    """
+
+    misfit: Array
+    by_rig: Array
+    by_beam: Array
 
 
 @dataclass(frozen=True)
@@ -286,6 +311,8 @@ class Solution:
         the scale.
     chi2_points, dof_points : float, int
         Of the points' distances from the plane's ellipse.
+    rig_test : RigTest or None
+        What chi2 is made of; None where the rig or the noise's scale is not known.
     other_plane : OtherPlane or None
     residuals : tuple of Residual
         All ten equations at the solution.
@@ -307,6 +334,7 @@ class Solution:
     p_value: float | None = None
     chi2_points: float | None = None
     dof_points: int | None = None
+    rig_test: RigTest | None = None
     other_plane: OtherPlane | None = None
     residuals: tuple[Residual, ...] = ()
     identifiability: Identifiability | None = None

@@ -15,7 +15,7 @@ from planeopt.estimation.rig_part import Sensitivity
 from planeopt.formulations.problem import Problem
 from planeopt.formulations.snooping import detectability, image_misfit, space_left_by_plane, whitened_by_plane
 from planeopt.plane import Plane, SpotPose
-from planeopt.solution import OtherPlane, Residual, Uncertainty
+from planeopt.solution import OtherPlane, Residual, RigTest, Uncertainty
 
 Array = NDArray[np.float64]
 
@@ -32,12 +32,14 @@ class Fit:
 
     ``p_value`` is of chi-squared with 2 degrees of freedom, or of its F counterpart where the noise scale was
     estimated; with a rig covariance the rig's part is in the statistic's covariance. None where no scale is known.
+    ``rig_test`` is what the statistic is made of; None where the rig is not known.
     """
 
     chi2: float | None
     p_value: float | None
     chi2_points: float | None
     dof_points: int | None
+    rig_test: RigTest | None = None
 
     @property
     def improbable(self) -> bool:
@@ -64,16 +66,21 @@ def fit_quality(problem: Problem, plane: Array, effect: Sensitivity | None) -> F
     plane : (3,)
         ``(z_L, p, q)`` as in the equations.
     effect : Sensitivity or None
-        Of the rig at this plane, where the rig has a covariance.
+        Of the rig at this plane, where there is a rig.
     """
     if problem.scale_dof == 0:
         return Fit(None, None, None, None)
     left_over = space_left_by_plane(problem, plane)
     statistic = left_over @ np.linalg.solve(problem.B_factor, image_misfit(problem, plane))
-    covariance = np.eye(DOF)
-    if effect is not None and problem.rig is not None and problem.rig.covariance is not None:
-        by_rig = left_over @ np.linalg.solve(problem.B_factor, _B_by_rig(problem, plane, effect))
-        covariance += by_rig @ problem.rig.covariance.matrix @ by_rig.T
+    covariance, rig_test = np.eye(DOF), None
+    if effect is not None and problem.rig is not None:
+        by_beam, by_rig = (
+            left_over @ np.linalg.solve(problem.B_factor, _B_by(problem, plane, moved))
+            for moved in (effect.residual_by_beam, effect.residual_by_rig)
+        )
+        rig_test = RigTest(statistic, by_rig, by_beam)
+        if problem.rig.covariance is not None:
+            covariance += by_rig @ problem.rig.covariance.matrix @ by_rig.T
     chi2 = float(statistic @ np.linalg.solve(covariance, statistic))
     p_value = float(
         scipy.stats.chi2.sf(chi2, DOF)
@@ -81,11 +88,11 @@ def fit_quality(problem: Problem, plane: Array, effect: Sensitivity | None) -> F
         else scipy.stats.f.sf(chi2 / DOF, DOF, problem.scale_dof)
     )
     if problem.points is None or problem.scale_dof is not None:
-        return Fit(chi2, p_value, None, None)
+        return Fit(chi2, p_value, None, None, rig_test)
     # An inefficient plane's own error is in its points' distances too: only at the efficient one is their law known.
     nearest = plane + _step_to_efficient(problem, plane)
     distances = sampson_distances(_ellipse(problem, nearest), problem.points, problem.noise)
-    return Fit(chi2, p_value, float(distances @ distances), problem.n_points - 3)
+    return Fit(chi2, p_value, float(distances @ distances), problem.n_points - 3, rig_test)
 
 
 def _ellipse(problem: Problem, plane: Array) -> Array:
@@ -94,11 +101,11 @@ def _ellipse(problem: Problem, plane: Array) -> Array:
     return np.array(b[1:]) / b[0]
 
 
-def _B_by_rig(problem: Problem, plane: Array, effect: Sensitivity) -> Array:
-    """Changes of B (5, n) that move the points' distances as the rig's parameters do, by least squares."""
+def _B_by(problem: Problem, plane: Array, moved: Array) -> Array:
+    """Changes of B (5, n) that move the points' whitened distances (N, n) as given, by least squares."""
     by_B = _by_ellipse(problem, _ellipse(problem, plane))
     size = np.linalg.norm(by_B, axis=0)
-    return np.linalg.lstsq(by_B / size, effect.residual_by_rig, rcond=None)[0] / size[:, None]
+    return np.linalg.lstsq(by_B / size, moved, rcond=None)[0] / size[:, None]
 
 
 def _by_ellipse(problem: Problem, ellipse: Array) -> Array:
@@ -198,7 +205,8 @@ def uncertainty(problem: Problem, plane: Array, spot: Array, effect: Sensitivity
         return Uncertainty(spot, np.zeros((3, 3)), normal_spot, np.zeros((3, 3)))
     sigma = problem.rig.covariance.matrix
     rig = effect.plane_by_rig @ sigma @ effect.plane_by_rig.T
-    return Uncertainty(spot, rig, normal_spot, effect.normal_by_rig @ sigma @ effect.normal_by_rig.T)
+    normal_rig = effect.normal_by_rig @ sigma @ effect.normal_by_rig.T
+    return Uncertainty(spot, rig, normal_spot, normal_rig, effect.plane_by_rig, effect.normal_by_rig)
 
 
 def _normal_by_slopes(plane: Array) -> Array:

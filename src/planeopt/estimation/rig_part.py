@@ -17,6 +17,10 @@ CAMERA = tuple(name for name in CAMERA_PARAMETERS if name != "f")
 PARAMETERS = CAMERA + BEAM_PARAMETERS
 """Every number of a rig; ``f`` is fx and fy together."""
 
+SEEN = ("e_x", "e_y", "direction_x", "direction_y")
+"""Parameters of the beam through which the four numbers of a rig that images test can change, all others held fixed:
+the beam's vanishing point, the direction of its offset, and the offset over the radius."""
+
 
 @dataclass(frozen=True)
 class Sensitivity:
@@ -31,11 +35,14 @@ class Sensitivity:
         ``(z_L, p, q)`` with ``z_L`` along the beam.
     normal_by_rig : (3, n)
         Unit normal in the camera frame.
+    residual_by_beam : (N, 4)
+        As ``residual_by_rig``, by `SEEN`, whether the covariance has them or not.
     """
 
     residual_by_rig: Array
     plane_by_rig: Array
     normal_by_rig: Array
+    residual_by_beam: Array
 
 
 def sensitivity(problem: Problem, rig: Rig, plane: Array) -> Sensitivity:
@@ -49,19 +56,19 @@ def sensitivity(problem: Problem, rig: Rig, plane: Array) -> Sensitivity:
     problem : Problem
         Made from a spot, so that pixels, points and noise are there.
     rig : Rig
-        With a covariance.
+        Without a covariance it has no free parameters: n is 0.
     plane : (3,)
         ``(z_L, p, q)`` in the equations' sense (``z_L`` the spot centre's z in the laser-parallel frame).
 
     Raises
     ------
     ValueError
-        If the problem has no pixels or the rig no covariance.
+        If the problem has no pixels.
     """
-    if problem.pixels is None or problem.noise is None or rig.covariance is None:
-        raise ValueError("the rig's part needs boundary points in pixels and a rig with a covariance")
+    if problem.pixels is None or problem.noise is None:
+        raise ValueError("the rig's part needs boundary points in pixels")
     nominal = np.array([rig.parameter(name) for name in PARAMETERS])
-    choice = _choice(rig.covariance.parameters)
+    choice = _choice(() if rig.covariance is None else rig.covariance.parameters)
     normalised = np.asarray(rig.camera.normalise(problem.pixels)[0])
     n = len(normalised)
     noise = np.stack([problem.noise[:, 0, 0], problem.noise[:, 0, 1], problem.noise[:, 1, 1]])
@@ -72,7 +79,15 @@ def sensitivity(problem: Problem, rig: Rig, plane: Array) -> Sensitivity:
     shift_by_rig, normal_by_plane, normal_by_rig = (np.asarray(m) for m in _outputs()(plane, nominal))
     along_beam = step.copy()
     along_beam[0] -= (shift_by_rig @ choice)[0]
-    return Sensitivity(by_rig, along_beam, normal_by_plane @ step + normal_by_rig @ choice)
+    normal = normal_by_plane @ step + normal_by_rig @ choice
+    return Sensitivity(by_rig, along_beam, normal, derivative[:, 3:] @ _choice(SEEN))
+
+
+def normal_by_rig(rig: Rig, plane: Array, plane_by_rig: Array) -> Array:
+    """Derivative (3, n) of the unit normal in the camera frame, given that (3, n) of the plane ``(z_L, p, q)``."""
+    nominal = np.array([rig.parameter(name) for name in PARAMETERS])
+    _, by_plane, by_rig = (np.asarray(m) for m in _outputs()(plane, nominal))
+    return by_plane @ plane_by_rig + by_rig @ _choice(() if rig.covariance is None else rig.covariance.parameters)
 
 
 def _choice(names: tuple[str, ...]) -> Array:

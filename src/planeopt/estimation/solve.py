@@ -198,7 +198,7 @@ def _judged(solution: Solution, problem: Problem, plane: Array, covariance: Arra
     """Everything that is recomputed at a plane, and the status that follows from it."""
     rig = problem.rig
     effect = None
-    if rig is not None and rig.covariance is not None and problem.scale_dof != 0:
+    if rig is not None and problem.scale_dof != 0:
         effect = sensitivity(problem, rig, plane)
     fit = evidence.fit_quality(problem, plane, effect)
     pose, in_camera = evidence.pose_and_plane(problem, plane)
@@ -217,6 +217,7 @@ def _judged(solution: Solution, problem: Problem, plane: Array, covariance: Arra
         p_value=fit.p_value,
         chi2_points=fit.chi2_points,
         dof_points=fit.dof_points,
+        rig_test=fit.rig_test,
         other_plane=evidence.second_plane(problem, plane),
         residuals=evidence.residuals(problem, plane),
     )
