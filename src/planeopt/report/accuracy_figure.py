@@ -1,9 +1,7 @@
 """One target with its measured boundary, and the errors of all targets with their error bars."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -11,22 +9,10 @@ from matplotlib.patches import ConnectionPatch, Rectangle
 from numpy.typing import NDArray
 
 from planeopt.accuracy import Score
+from planeopt.report.style import DARK, ELLIPSE, LIGHT, POINT, look
 from planeopt.spot import Spot
 
-# Far apart in lightness as well as in hue, so that they survive a grey print and colour-blind eyes; the outline lies
-# between the black and the white of an image.
-DARK = "#123a6b"
-LIGHT = "#e08214"
-OUTLINE = "#e4471f"
-POINT = "#ffd23f"
-
-_STYLE: dict[Any, Any] = {
-    "font.size": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlesize": 10,
-    "legend.fontsize": 9,
-}
+_LETTER_SIZE = 9.0
 _MARGIN = 1.3  # half side of the piece of the image that is shown, over the spot's
 _ZOOM_PX = 9.0  # half side of the piece that is magnified
 
@@ -50,7 +36,7 @@ def accuracy_figure(image: NDArray[np.generic], spot: Spot, scores: Sequence[Sco
     Figure
         Of matplotlib, not attached to any window.
     """
-    with mpl.rc_context(_STYLE):
+    with look(_LETTER_SIZE):
         figure = Figure(figsize=(11.0, 3.8), layout="constrained", dpi=160)
         axes = figure.subplot_mosaic([["spot", "zoom", "depth"], ["spot", "zoom", "normal"]], width_ratios=(1, 1, 1.25))
         _draw_spot(axes["spot"], image, spot, shown)
@@ -69,7 +55,7 @@ def _draw_spot(axes: Axes, image: NDArray[np.generic], spot: Spot, shown: str) -
     low, high = spot.points.min(axis=0), spot.points.max(axis=0)
     x, y = (low + high) / 2
     half = _MARGIN * float(np.max(high - low)) / 2
-    axes.plot(*np.vstack([spot.points, spot.points[:1]]).T, color=OUTLINE, lw=1.4)
+    axes.plot(*np.vstack([spot.points, spot.points[:1]]).T, color=ELLIPSE, lw=1.4)
     axes.set(title=f"{shown}: measured boundary", xlim=(x - half, x + half), ylim=(y + half, y - half))
 
 
@@ -82,7 +68,7 @@ def _draw_zoom(axes: Axes, whole: Axes, image: NDArray[np.generic], spot: Spot) 
     axes.set(title=f"{len(spot)} points, between the pixels", xlim=(left, right), ylim=(bottom, top))
     # On the right, clear of the lines that join the two views.
     axes.yaxis.set(ticks_position="right", label_position="right")
-    whole.add_patch(Rectangle((left, top), right - left, bottom - top, fill=False, ec=OUTLINE, lw=1.2))
+    whole.add_patch(Rectangle((left, top), right - left, bottom - top, fill=False, ec=ELLIPSE, lw=1.2))
     for corner in (top, bottom):
         line = ConnectionPatch(
             (right, corner), (left, corner), "data", "data", axesA=whole, axesB=axes, color="0.55", lw=0.8

@@ -4,38 +4,21 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
+from planeopt.report.boundary_panels import MARGIN, bounds, draw_hairs, draw_points, draw_spot, shown
 from planeopt.report.pixels import Window, show
 from planeopt.report.spot_judged import Judged, judge
+from planeopt.report.style import BAND, DARK, ELLIPSE, POINT, REJECTED, drawable, look
 from planeopt.rig import Camera
 from planeopt.spot import Spot
 
-# Far apart in lightness as well as in hue, so that they survive a grey print and colour-blind eyes.
-ELLIPSE = "#e4471f"
-POINT = "#ffd23f"
-REJECTED = "#1fa2e0"
-RESIDUAL = "#123a6b"
-
-_STYLE: dict[Any, Any] = {
-    "font.size": 8.5,
-    "axes.titlesize": 9.5,
-    "legend.fontsize": 8.5,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-}
-_SIZE, _DPI = (13.0, 9.2), 100
-_BEYOND_FONT = 0x590
-_MARGIN = 1.3  # half side of the piece of the image that is shown, over the spot's
+_SIZE, _DPI, _LETTER_SIZE = (13.0, 9.2), 100, 8.5
 _ZOOMED = 9.0  # px: half side of a magnified piece
-_DRAWN = 72  # points at most where all of the spot is seen: more would hide the ellipse and the edge
-_USUAL, _LARGEST = 0.1, 0.22  # of half the panel: how long the residuals are drawn, at most
 _BINS = 72  # of the angle, for the running mean
 _PER_BIN = 4  # points at least, else there is no mean worth drawing
 _DIRECTIONS = {"right": (1, 0), "bottom": (0, 1), "left": (-1, 0), "top": (0, -1)}
@@ -73,19 +56,22 @@ def spot_overlay(
         Of matplotlib, not attached to any window.
     """
     judged = judge(spot, camera)
-    with mpl.rc_context(_STYLE):
+    with look(_LETTER_SIZE):
         figure = Figure(figsize=_SIZE, dpi=_DPI, layout="constrained")
         axes = figure.subplot_mosaic(_PANELS, height_ratios=(1.2, 1.0, 1.1, 1.0), gridspec_kw={"wspace": 0.05})
-        window = _bounds(np.vstack([spot.points, *([] if judged is None else [judged.curve])]))
-        _draw_whole(axes["whole"], image, window.around(_MARGIN), name)
-        _draw_spot(axes["spot"], image, spot, judged, window.around(_MARGIN), channel)
+        window = bounds(np.vstack([spot.points, *([] if judged is None else [judged.curve])]))
+        _draw_whole(axes["whole"], image, window.around(MARGIN), name)
+        limits = draw_spot(axes["spot"], image, spot, judged, window.around(MARGIN), channel)
+        room = 32 if len(spot.rejected) else 18  # for the legend
+        axes["spot"].set_title(f"boundary points and fitted ellipse; {shown(*limits)}", pad=room)
         for at in _DIRECTIONS:
             _draw_zoom(axes[at], image, spot, judged, at, channel)
         if judged is None:
             for panel in (axes["hairs"], axes["residuals"]):
                 _say(panel, "The points lie on no ellipse.")
         else:
-            _draw_hairs(axes["hairs"], spot, judged, window.around(_MARGIN))
+            times = draw_hairs(axes["hairs"], spot, judged, window.around(MARGIN))
+            axes["hairs"].set_title(f"residuals along the normals, drawn {times:g} times as long")
             _draw_residuals(axes["residuals"], spot, judged)
         _write(axes["text"], [*_facts(spot, judged), "", *_in_words(spot)])
         _settle(figure)
@@ -94,11 +80,11 @@ def spot_overlay(
 
 def refusal_picture(image: NDArray[Any], reason: str, name: str) -> Figure:
     """Draw an image in which no spot was measured, with the reason."""
-    with mpl.rc_context(_STYLE):
+    with look(_LETTER_SIZE):
         figure = Figure(figsize=(8.0, 7.0), dpi=_DPI, layout="constrained")
         axes = figure.subplots(2, 1, height_ratios=(6, 1))
         low, high = show(axes[0], image)
-        axes[0].set(title=f"{_drawable(name)}: {_size(image)}; {_shown(low, high)}", xlabel="x (px)", ylabel="y (px)")
+        axes[0].set(title=f"{drawable(name)}: {_size(image)}; {shown(low, high)}", xlabel="x (px)", ylabel="y (px)")
         _write(axes[1], ["No spot was measured.", *textwrap.wrap(reason, 100)])
         _settle(figure)
     return figure
@@ -110,34 +96,12 @@ def _settle(figure: Figure) -> None:
     figure.set_layout_engine("none")
 
 
-def _bounds(points: NDArray[np.float64]) -> Window:
-    (left, top), (right, bottom) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    return Window(left, top, right, bottom)
-
-
-def _drawable(name: str) -> str:
-    """Return a name in the letters that the figures' font has: Latin, Greek, Cyrillic, Armenian."""
-    return "".join(letter if letter.isprintable() and ord(letter) < _BEYOND_FONT else "?" for letter in name)
-
-
 def _draw_whole(axes: Axes, image: NDArray[Any], window: Window, name: str) -> None:
     show(axes, image)
     corner, width, height = (window.left, window.top), window.right - window.left, window.bottom - window.top
     axes.add_patch(Rectangle(corner, width, height, fill=False, ec=ELLIPSE, lw=1.4))
-    title = "\n".join([textwrap.shorten(_drawable(name), 50, placeholder="..."), _size(image)])
+    title = "\n".join([textwrap.shorten(drawable(name), 50, placeholder="..."), _size(image)])
     axes.set(title=title, xlabel="x (px)", ylabel="y (px)")
-
-
-def _draw_spot(
-    axes: Axes, image: NDArray[Any], spot: Spot, judged: Judged | None, window: Window, channel: str
-) -> None:
-    low, high = show(axes, image, window, channel)
-    step = -(-len(spot) // _DRAWN)
-    _draw_points(axes, spot, judged, step, size=3.2, edge=0.5)
-    axes.set(xlabel="x (px)", ylabel="y (px)")
-    # Above the image, of which it would hide something.
-    axes.set_title(f"boundary points and fitted ellipse; {_shown(low, high)}", pad=32 if len(spot.rejected) else 18)
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False, borderpad=0.1)
 
 
 def _draw_zoom(axes: Axes, image: NDArray[Any], spot: Spot, judged: Judged | None, at: str, channel: str) -> None:
@@ -146,50 +110,10 @@ def _draw_zoom(axes: Axes, image: NDArray[Any], spot: Spot, judged: Judged | Non
     x, y = line[int(np.argmax(line @ _DIRECTIONS[at]))].tolist()
     reach = min(_ZOOMED, 0.6 * float(np.max(np.ptp(line, axis=0))))
     show(axes, image, Window(x - reach, y - reach, x + reach, y + reach), channel)
-    _draw_points(axes, spot, judged, 1, size=5.0, edge=0.7)
+    draw_points(axes, spot, judged, 1, size=5.0, edge=0.7)
     axes.set(title=f"{at} end", xlabel="x (px)", ylabel="y (px)")
     axes.locator_params(nbins=4)
     axes.ticklabel_format(useOffset=False)
-
-
-def _draw_points(axes: Axes, spot: Spot, judged: Judged | None, step: int, *, size: float, edge: float) -> None:
-    if judged is not None:
-        axes.plot(*judged.curve.T, color=ELLIPSE, lw=1.2, label="fitted ellipse", zorder=2)
-    said = f"{len(spot)} points" if step == 1 else f"one in {step} of {len(spot)} points"
-    axes.plot(*spot.points[::step].T, "o", ms=size, mfc=POINT, mec="black", mew=edge, label=said, zorder=3)
-    if len(spot.rejected):
-        left_out = f"{len(spot.rejected)} rejected"
-        axes.plot(*spot.rejected.T, "x", ms=size + 2.5, color=REJECTED, mew=1.3, label=left_out, zorder=4)
-
-
-def _draw_hairs(axes: Axes, spot: Spot, judged: Judged, window: Window) -> None:
-    """Draw the residuals out of the ellipse, magnified."""
-    times = _magnification(judged.residuals, (window.right - window.left) / 2)
-    tips = spot.points + times * judged.residuals[:, None] * judged.normals
-    axes.plot(*judged.curve.T, color=ELLIPSE, lw=0.8)
-    axes.add_collection(
-        LineCollection(
-            list(np.stack([spot.points, tips], axis=1)), colors=RESIDUAL, linewidths=0.8 if len(spot) < 800 else 0.3
-        )
-    )
-    if len(spot.rejected):
-        axes.plot(*spot.rejected.T, "x", ms=4.5, color=REJECTED, mew=1.0)
-    axes.set(
-        title=f"residuals along the normals, drawn {times:g} times as long",
-        xlabel="x (px)",
-        ylabel="y (px)",
-        xlim=(window.left, window.right),
-        ylim=(window.bottom, window.top),
-        aspect="equal",
-    )
-
-
-def _magnification(residuals: NDArray[np.float64], size: float) -> float:
-    """Return a round number by which the usual residual and the largest grow to their shares of a size, px."""
-    usual, largest = float(np.sqrt(np.mean(residuals**2))), float(np.max(np.abs(residuals)))
-    wanted = size * min(_USUAL / max(usual, 1e-9), _LARGEST / max(largest, 1e-9))
-    power = 10.0 ** np.floor(np.log10(wanted))
-    return float(power * max(digit for digit in (1, 2, 5) if digit * power <= wanted * (1 + 1e-9)))
 
 
 def _draw_residuals(axes: Axes, spot: Spot, judged: Judged) -> None:
@@ -199,10 +123,10 @@ def _draw_residuals(axes: Axes, spot: Spot, judged: Judged) -> None:
     if spot.sigma is not None:
         sigma = spot.sigma[order]
         reach = max(reach, 2.3 * float(np.median(sigma)))
-        for times, shade in ((2, "0.92"), (1, "0.82")):
+        for times, shade in zip((2, 1), BAND, strict=True):
             label = rf"$\pm${times}$\sigma$"
             axes.fill_between(angles, -times * sigma, times * sigma, color=shade, lw=0, label=label)
-    axes.plot(angles, residuals, ".", ms=3.5, color=RESIDUAL, label="points")
+    axes.plot(angles, residuals, ".", ms=3.5, color=DARK, label="points")
     if len(spot.rejected):
         within = np.clip(judged.rejected_residuals, -0.97 * reach, 0.97 * reach)
         axes.plot(judged.rejected_angles, within, "x", ms=4.5, color=REJECTED, label="rejected (at the edge: beyond)")
@@ -277,7 +201,3 @@ def _say(axes: Axes, message: str) -> None:
 
 def _size(image: NDArray[Any]) -> str:
     return f"{image.shape[1]} x {image.shape[0]} px, {image.dtype}"
-
-
-def _shown(low: float, high: float) -> str:
-    return f"black is {low:.4g}, white {high:.4g}"

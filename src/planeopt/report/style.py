@@ -1,0 +1,90 @@
+"""What all figures of reports share: one palette, one look, and how a figure becomes bytes."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
+from PIL import Image
+
+from planeopt.report.content import Picture
+
+# Far apart in lightness as well as in hue, so that they survive a grey print and colour-blind eyes; the ellipse's lies
+# between the black and the white of an image.
+ELLIPSE = "#e4471f"
+POINT = "#ffd23f"
+REJECTED = "#1fa2e0"
+DARK = "#123a6b"
+LIGHT = "#e08214"
+BAND = ("0.92", "0.82")  # two standard deviations, one
+
+_LOOK: dict[Any, Any] = {
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "grid.color": "0.9",
+    "grid.linewidth": 0.6,
+    "lines.solid_capstyle": "round",
+}
+_PAGE_SIZE = 9.0  # pt, at the page's full width
+_PAGE_DPI = 170  # sharp on paper at the width of a page, and twice what a column of the screen has
+_COLOURS = 256  # of a PNG's palette
+_BEYOND_FONT = 0x590
+
+
+@contextmanager
+def look(size: float, *, titles: float = 1.0) -> Iterator[None]:
+    """Let what is drawn inside have the common look.
+
+    Parameters
+    ----------
+    size : float
+        Of the letters, pt.
+    titles : float
+        By how many pt titles are larger.
+    """
+    sizes: dict[Any, Any] = {"font.size": size, "axes.titlesize": size + titles, "legend.fontsize": size}
+    with mpl.rc_context(_LOOK | sizes):
+        yield
+
+
+@contextmanager
+def page_figure(width: float, height: float, *, constrained: bool = True) -> Iterator[Figure]:
+    """Yield a figure for a page (inches), not attached to any window; draw and `picture` it inside the context."""
+    with look(_PAGE_SIZE):
+        yield Figure(figsize=(width, height), layout="constrained" if constrained else None, dpi=_PAGE_DPI)
+
+
+def picture(figure: Figure, words: str) -> Picture:
+    """Return a figure as the bytes of a PNG, the same each time.
+
+    With a palette that takes a third to a tenth of an SVG with its letters as outlines, which it would need to look the
+    same everywhere.
+
+    Parameters
+    ----------
+    figure : Figure
+    words : str
+        What it shows, for who cannot see it.
+    """
+    file = BytesIO()
+    with mpl.rc_context(_LOOK):
+        figure.savefig(file, format="png", metadata={"Software": None}, dpi=_PAGE_DPI)
+    width, height = (float(length) for length in figure.get_size_inches())
+    return Picture(_fewer_colours(file.getvalue()), width, height, words)
+
+
+def _fewer_colours(png: bytes) -> bytes:
+    """Return a picture with a palette: drawings have few colours, images few greys."""
+    with Image.open(BytesIO(png)) as opened:
+        reduced = opened.convert("RGB").quantize(_COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    file = BytesIO()
+    reduced.save(file, format="png", optimize=True)
+    return file.getvalue()
+
+
+def drawable(name: str) -> str:
+    """Return a name in the letters that the figures' font has: Latin, Greek, Cyrillic, Armenian."""
+    return "".join(letter if letter.isprintable() and ord(letter) < _BEYOND_FONT else "?" for letter in name)
