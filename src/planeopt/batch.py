@@ -30,7 +30,7 @@ _log = logging.getLogger(__name__)
 
 StrPath = str | os.PathLike[str]
 
-_UNFORESEEN = (ArithmeticError, ValueError, np.linalg.LinAlgError, RuntimeError, MemoryError, cv2.error)
+UNFORESEEN = (ArithmeticError, ValueError, np.linalg.LinAlgError, RuntimeError, MemoryError, cv2.error)
 """What numerical libraries raise where nobody foresaw it. In a batch it must not cost the other inputs."""
 
 
@@ -148,7 +148,7 @@ def measure_spot(path: StrPath, rig: Rig | None = None, search: Search = _ANYHOW
         return SpotMeasurement(no_spot(name, reason, full_scale), image)
     except InputError as error:
         return SpotMeasurement(unusable(name, _naming(path, str(error))), image)
-    except _UNFORESEEN as error:
+    except UNFORESEEN as error:
         return SpotMeasurement(unusable(name, _broken_down(path, error)), image)
 
 
@@ -190,7 +190,7 @@ def measure(
         return Measurement(spot_not_found(name, reason))
     except InputError as error:
         return Measurement(input_error(name, _naming(path, str(error))))
-    except _UNFORESEEN as error:
+    except UNFORESEEN as error:
         return Measurement(input_error(name, _broken_down(path, error)))
     return Measurement(from_solution(name, solution), spot, solution)
 
