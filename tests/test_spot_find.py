@@ -103,6 +103,16 @@ def test_a_bar_splits_it(kind: Kind) -> None:
     assert error(candidate) < 1.0
 
 
+@pytest.mark.parametrize("direction", [0.4, 1.2, 2.8])
+def test_a_bar_brighter_than_a_fine_ring_crosses_it(direction: float) -> None:
+    # Smoothed, the line is less bright than the bar, between whose sides many ellipses fit.
+    truth = Outline(289.1, 178.4, 73.7, 70.6, 0.43)
+    bar = np.abs((X - truth.x) * np.cos(direction) + (Y - truth.y) * np.sin(direction)) < 38
+    candidate = found(noisy(np.where(bar, 70.0, 13 + 134 * ring(truth, 1.2))))
+    assert candidate.kind == "ring"
+    assert error(candidate, truth) < 1.0
+
+
 @pytest.mark.parametrize("kind", ["disc", "ring"])
 @pytest.mark.parametrize("level", [0.0, 20.0, 45.0, 76.0])
 @pytest.mark.parametrize("told", [False, True])

@@ -22,7 +22,7 @@ _TOLERANCE = 0.8, 0.06  # px of the level, and of the radius
 _SIGNIFICANT = 0.4  # of the typical edge: less is not looked at
 _BEYOND = 0.5  # of a ray: what an edge further out than the ellipse counts against it
 _PER_SEED = 3  # ellipses
-_ALIKE = 0.15  # of the size: ellipses that differ by less are one
+_ALIKE = 0.15  # of the mean radius: ellipses that differ by less on the rays are one
 _MIN_RADIUS = 1.5  # px of the level
 _MAX_RATIO = 14.0  # of the axes
 
@@ -168,18 +168,17 @@ def ellipses_through(seeds: Seeds) -> tuple[Ellipses, Array, NDArray[np.intp]]:
     # A ridge far below rounding of the edges' places keeps a five with two equal rays solvable.
     q = np.linalg.solve(system + 1e-9 * np.eye(5), (five**2)[..., None])[..., 0]
     share, _ = _agreement(q, radius, weight)
-    found, good = _geometric(q)
+    _, good = _geometric(q)
     share = np.where(good, share, 0)
-    centre, shape = found.centre.reshape(*share.shape, 2), found.shape.reshape(*share.shape, 2, 2)
+    # As far as the rays reach: between two parallel lines are many ellipses that differ only beyond.
+    radii = np.minimum(_radii(q)[0], _REACH)
     rows = np.arange(len(q))
     best = []
     for _ in range(_PER_SEED):
         top = share.argmax(axis=1)
         best.append(top)
-        like = np.linalg.norm(shape - shape[rows, top][:, None], axis=(2, 3))
-        like += np.linalg.norm(centre - centre[rows, top][:, None], axis=2)
-        size = np.sqrt(np.abs(np.linalg.det(shape[rows, top])))
-        share = np.where(like < 2 * _ALIKE * size[:, None], 0, share)
+        chosen = radii[rows, top][:, None]
+        share = np.where(np.abs(radii - chosen).mean(axis=2) < _ALIKE * chosen.mean(axis=2), 0, share)
     ellipses, share = _refitted(q[rows[:, None], np.stack(best, axis=1)], radius, w, weight)
     place, factor = np.repeat(seeds.place, _PER_SEED, axis=0), np.repeat(seeds.factor, _PER_SEED)[:, None]
     moved = Ellipses(place + factor * ellipses.centre, factor[..., None] * ellipses.shape)
@@ -191,11 +190,7 @@ def _agreement(q: Array, radius: Array, weight: Array) -> tuple[Array, Array]:
 
     What hides a spot cuts its edge short. An edge further out speaks against an ellipse that claims to be all.
     """
-    odd = q[..., 3:] @ _ODD_TERMS
-    root = odd**2 + 4 * (q[..., :3] @ _EVEN_TERMS)
-    predicted = 2 / np.maximum(odd + np.sqrt(np.maximum(root, 0)), 1e-6)
-    # Single precision for what is large, and far from any limit of it.
-    predicted = predicted.astype(np.float32)
+    predicted, real = _radii(q)
     inverse = 1 / (np.float32(_TOLERANCE[0]) + np.float32(_TOLERANCE[1]) * predicted)
     # No edge: as one far inside, which neither agrees nor speaks against anything.
     edges = np.where(np.isfinite(radius), radius, -1e6).astype(np.float32)[:, None]
@@ -204,7 +199,16 @@ def _agreement(q: Array, radius: Array, weight: Array) -> tuple[Array, Array]:
     credit = np.maximum(1 - miss * miss, 0) * weight
     further = np.clip(-np.maximum(miss[..., 0], miss[..., 1]) - 1, 0, 1) * (weight[..., 1] > _SIGNIFICANT)
     share = (np.maximum(credit[..., 0], credit[..., 1]) - np.float32(_BEYOND) * further).mean(axis=2)
-    return np.where((root > 0).all(axis=2), share, 0), credit
+    return np.where(real, share, 0), credit
+
+
+def _radii(q: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return where the rays cross conics (K, H, 5), px of the level, (K, H, R), and for which (K, H) all do."""
+    odd = q[..., 3:] @ _ODD_TERMS
+    root = odd**2 + 4 * (q[..., :3] @ _EVEN_TERMS)
+    radius = 2 / np.maximum(odd + np.sqrt(np.maximum(root, 0)), 1e-6)
+    # Single precision for what is large, and far from any limit of it.
+    return radius.astype(np.float32), np.asarray(np.all(root > 0, axis=2))
 
 
 def _refitted(q: Array, radius: Array, w: Array, weight: Array) -> tuple[Ellipses, Array]:
