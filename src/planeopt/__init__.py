@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from planeopt.comparison import Comparison, compare
     from planeopt.errors import InputError
-    from planeopt.estimation import solve
+    from planeopt.estimation import Combined, combine, solve
     from planeopt.formulations import (
         AsPrinted,
         ClosedForm,
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         Reprojection,
     )
     from planeopt.plane import Plane, SpotPose
+    from planeopt.posterior import Posterior, Prior, sample_posterior
     from planeopt.rig import Beam, Camera, Rig, load_rig, save_rig
     from planeopt.solution import Solution, SolveError, Status
     from planeopt.solvers import Ipopt, Sqp, Swift
@@ -32,6 +33,7 @@ __all__ = [
     "Beam",
     "Camera",
     "ClosedForm",
+    "Combined",
     "Comparison",
     "Constrained",
     "Elastic",
@@ -40,6 +42,8 @@ __all__ = [
     "LeastSquares",
     "Penalty",
     "Plane",
+    "Posterior",
+    "Prior",
     "Reprojection",
     "Rig",
     "Solution",
@@ -51,11 +55,13 @@ __all__ = [
     "Status",
     "Swift",
     "__version__",
+    "combine",
     "compare",
     "find_spot",
     "load_rig",
     "read_image",
     "read_points",
+    "sample_posterior",
     "save_rig",
     "solve",
     "write_points",
@@ -64,7 +70,7 @@ __all__ = [
 _CONTENTS = {
     "planeopt.comparison": ("Comparison", "compare"),
     "planeopt.errors": ("InputError",),
-    "planeopt.estimation": ("solve",),
+    "planeopt.estimation": ("Combined", "combine", "solve"),
     "planeopt.formulations": (
         "AsPrinted",
         "ClosedForm",
@@ -75,6 +81,7 @@ _CONTENTS = {
         "Reprojection",
     ),
     "planeopt.plane": ("Plane", "SpotPose"),
+    "planeopt.posterior": ("Posterior", "Prior", "sample_posterior"),
     "planeopt.rig": ("Beam", "Camera", "Rig", "load_rig", "save_rig"),
     "planeopt.solution": ("Solution", "SolveError", "Status"),
     "planeopt.solvers": ("Ipopt", "Sqp", "Swift"),

@@ -197,7 +197,7 @@ def uncertainty(problem: Problem, plane: Array, spot: Array, effect: Sensitivity
     effect : Sensitivity or None
         Of the rig at this plane.
     """
-    by_slopes = _normal_by_slopes(plane)
+    by_slopes = normal_by_slopes(plane)
     if problem.rig is not None:
         by_slopes = problem.rig.Q.T @ by_slopes
     normal_spot = by_slopes @ spot[1:, 1:] @ by_slopes.T
@@ -209,7 +209,7 @@ def uncertainty(problem: Problem, plane: Array, spot: Array, effect: Sensitivity
     return Uncertainty(spot, rig, normal_spot, normal_rig, effect.plane_by_rig, effect.normal_by_rig)
 
 
-def _normal_by_slopes(plane: Array) -> Array:
+def normal_by_slopes(plane: Array) -> Array:
     """Derivative (3, 2) of the unit normal ``(-p, -q, 1)/|.|`` in the laser-parallel frame by ``(p, q)``."""
     _, p, q = plane
     length = math.sqrt(1 + p**2 + q**2)
