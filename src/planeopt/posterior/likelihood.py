@@ -1,0 +1,168 @@
+"""How well planes explain the boundary points: vectorised over planes."""
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planeopt.equations import Setup
+from planeopt.errors import InputError
+from planeopt.formulations.problem import Problem
+from planeopt.posterior.kernel import Kernel
+from planeopt.posterior.rig_part import RigPart
+from planeopt.solution import Flag
+
+Array = NDArray[np.float64]
+
+_CHUNK_NUMBERS = 2**19
+"""Largest array of a step, in numbers: what is larger is no faster and takes memory."""
+
+_SCORING_STEPS = 4
+
+
+class Scale(Enum):
+    """What is known of the noise's scale; the value says it."""
+
+    GIVEN = "The points' sigma is taken as given."
+    INTEGRATED = (
+        "The noise's scale is not known: it is integrated out with the prior 1/sigma, which makes Student's t of the "
+        "normal law."
+    )
+    SAMPLED = "The noise's scale is not known: it is sampled with the plane, with the prior 1/sigma."
+
+
+@dataclass(frozen=True, eq=False)
+class Likelihood:
+    """Log likelihood of planes, and of the noise's scale where it is sampled.
+
+    The whitened distances ``r`` of the points from a plane's image ellipse are standard normal, or Student-t. A rig's
+    parameters move them by ``G z``, ``z`` standard normal, which is integrated out:
+    ``-1/2 [r'r - r'G (I + G'G)^-1 G'r + log det(I + G'G)]``.
+
+    Attributes
+    ----------
+    setup : Setup
+    kernel : Kernel
+    scale : Scale
+    robust : float or None
+        Degrees of freedom of Student's t; None for normal noise.
+    rig : RigPart or None
+        What of the rig is uncertain; None where it is taken as it stands.
+    """
+
+    setup: Setup
+    kernel: Kernel
+    scale: Scale
+    robust: float | None = None
+    rig: RigPart | None = None
+
+    @classmethod
+    def of(cls, problem: Problem, *, robust: float | None = None, condition_on_rig: bool = False) -> "Likelihood":
+        """For the points of a problem.
+
+        Raises
+        ------
+        InputError
+            If there are no points, five without a sigma, or ``robust`` is not positive.
+        """
+        if problem.points is None or problem.noise is None:
+            raise InputError("a posterior needs the boundary points; only the ellipse (16) was given")
+        if problem.scale_dof == 0:
+            raise InputError("five points leave nothing to estimate their noise from: give sigma_px, or more points")
+        if robust is not None and not (math.isfinite(robust) and robust > 0):
+            raise InputError(f"robust must be the degrees of freedom of Student's t, above 0, not {robust}")
+        uncertain = problem.rig is not None and problem.rig.covariance is not None and not condition_on_rig
+        rig = RigPart.of(problem, problem.rig) if problem.rig is not None and uncertain else None
+        if problem.scale_dof is None or Flag.SCALE_AT_FLOOR in problem.flags:
+            scale = Scale.GIVEN
+        else:
+            scale = Scale.INTEGRATED if robust is None and rig is None else Scale.SAMPLED
+        kernel = Kernel.of(problem.points, problem.noise, problem.setup)
+        return cls(problem.setup, kernel, scale, None if robust is None else float(robust), rig)
+
+    def __call__(self, planes: Array, log_scale: Array | None = None) -> Array:
+        """Log likelihood (W,) of planes (W, 3), up to a constant; not finite where a plane has no image.
+
+        Parameters
+        ----------
+        planes : (W, 3)
+            ``(z_L, p, q)`` as in the equations.
+        log_scale : (W,), optional
+            Log of the noise's scale over the estimated one, where it is sampled.
+        """
+        columns = self.kernel.n * (3 if self.rig is None else self.rig.size)
+        rows = max(1, _CHUNK_NUMBERS // columns)
+        if len(planes) <= rows:
+            return self._block(planes, log_scale)
+        cuts = range(0, len(planes), rows)
+        scales = [None if log_scale is None else log_scale[at : at + rows] for at in cuts]
+        return np.concatenate([self._block(planes[at : at + rows], s) for at, s in zip(cuts, scales, strict=True)])
+
+    def _block(self, planes: Array, log_scale: Array | None) -> Array:
+        r, height = self._distances(planes, log_scale)
+        lost = 0.0 if log_scale is None else self.kernel.n * log_scale
+        if self.rig is not None:
+            return self._with_rig(r, self.rig.effect(planes, height))[0] - lost
+        if self.robust is not None:
+            return _student(r, self.robust) - lost
+        total = np.einsum("wn,wn->w", r, r)
+        return -0.5 * self.kernel.n * np.log(total) if self.scale is Scale.INTEGRATED else -0.5 * total - lost
+
+    def _distances(self, planes: Array, log_scale: Array | None) -> tuple[Array, Array]:
+        r, height = self.kernel.distances(planes)
+        if log_scale is None:
+            return r, height
+        scale = np.exp(log_scale)[:, None]
+        return r / scale, height * scale
+
+    def _with_rig(self, r: Array, G: Array) -> tuple[Array, Array, Array]:
+        """Log likelihood (W,) with the rig integrated out, and the mean (W, k) and information (W, k, k) of its ``z``.
+
+        With Student-t noise the integral is Laplace's approximation at the likeliest ``z``, with the expected
+        information.
+        """
+        weight = 1.0 if self.robust is None else (self.robust + 1) / (self.robust + 3)
+        information = weight * (np.swapaxes(G, 1, 2) @ G) + np.eye(G.shape[2])
+        _, log_det = np.linalg.slogdet(information)
+        pull = weight * (r[:, None, :] @ G)[:, 0, :]
+        inverse = np.linalg.inv(information)
+        z = -(inverse @ pull[:, :, None])[:, :, 0]
+        if self.robust is None:
+            return -0.5 * (np.sum(r * r, axis=1) + np.sum(pull * z, axis=1) + log_det), z, information
+        # From the normal law's answer: from z = 0 a plane far from the nominal rig's would have nothing but outliers.
+        for _ in range(_SCORING_STEPS):
+            moved = r + np.einsum("wnk,wk->wn", G, z)
+            score = np.einsum("wn,wnk->wk", moved * (self.robust + 1) / (self.robust + moved * moved), G) + z
+            z = z - np.einsum("wij,wj->wi", inverse, score)
+        moved = r + np.einsum("wnk,wk->wn", G, z)
+        total = _student(moved, self.robust) - 0.5 * np.sum(z * z, axis=1)
+        return total - 0.5 * log_det, z, information
+
+    def rig_given(self, planes: Array, log_scale: Array | None = None) -> tuple[Array, Array]:
+        """Mean (W, k) and information (W, k, k) of the rig's whitened parameters, given the planes and the points."""
+        if self.rig is None:
+            return np.empty((len(planes), 0)), np.empty((len(planes), 0, 0))
+        r, height = self._distances(planes, log_scale)
+        _, mean, information = self._with_rig(r, self.rig.effect(planes, height))
+        return mean, information
+
+    def draw_rig(self, rng: np.random.Generator, planes: Array, log_scale: Array | None = None) -> Array:
+        """Draw the rig's parameters (W, k), one set for each plane, given the plane and the points; (W, 0) without."""
+        if self.rig is None:
+            return np.empty((len(planes), 0))
+        noise = rng.standard_normal((len(planes), self.rig.size, 1))
+        rows = max(1, _CHUNK_NUMBERS // (self.kernel.n * self.rig.size))
+        drawn = []
+        for at in range(0, len(planes), rows):
+            part = slice(at, at + rows)
+            mean, information = self.rig_given(planes[part], None if log_scale is None else log_scale[part])
+            upper = np.swapaxes(np.linalg.cholesky(information), 1, 2)
+            drawn.append(mean + np.linalg.solve(upper, noise[part])[:, :, 0])
+        return self.rig.parameters_at(np.concatenate(drawn))
+
+
+def _student(r: Array, dof: float) -> Array:
+    """Sum over the points of the log density of Student's t, up to a constant."""
+    return -0.5 * (dof + 1) * np.sum(np.log1p(r * r / dof), axis=1)

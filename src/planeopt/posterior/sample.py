@@ -1,0 +1,238 @@
+"""From a spot and a rig to draws from the posterior of the plane."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planeopt.errors import InputError
+from planeopt.estimation import solve_problem
+from planeopt.formulations.problem import Problem
+from planeopt.posterior import chain
+from planeopt.posterior.first_order import laplace_of
+from planeopt.posterior.gaussian import compare
+from planeopt.posterior.likelihood import Likelihood
+from planeopt.posterior.prior import PlanePrior, Prior
+from planeopt.posterior.prior_effect import prior_effect
+from planeopt.posterior.proposal import Mixture, Peak, climb, resample
+from planeopt.posterior.quantities import beams, quantities
+from planeopt.posterior.result import Mode, Posterior
+from planeopt.posterior.target import Target
+from planeopt.rig import Rig
+from planeopt.spot import Spot
+
+Array = NDArray[np.float64]
+
+_CANDIDATES = 4000
+
+# A likelihood that falls by this from its top is beyond the 1e-6 quantile of chi-squared with 3 degrees of freedom.
+_BEYOND = 15.3
+
+# The width at which a search begins that knows nothing better: of log z_L, slopes and log scale.
+_GUESS = 0.05
+
+
+def sample_posterior(
+    spot: Spot,
+    rig: Rig,
+    *,
+    seed: int = 0,
+    prior: PlanePrior | None = None,
+    robust: float | None = None,
+    condition_on_rig: bool = False,
+    both_sides: bool = False,
+    draws: int = 2000,
+    budget: int = 20_000,
+    progress: Callable[[chain.Progress], None] | None = None,
+) -> Posterior:
+    """Draw planes from the posterior, given a spot.
+
+    Parameters
+    ----------
+    spot : Spot
+        Boundary points in raw pixels, from `find_spot` or `read_points`.
+    rig : Rig
+        With a beam. Its covariance, where it has one, is part of the posterior.
+    seed : int
+        The same seed gives the same draws.
+    prior : PlanePrior, optional
+        `Prior()` unless given.
+    robust : float, optional
+        Degrees of freedom of Student's t for the points' noise, 4 for example; normal unless given.
+    condition_on_rig : bool
+        Take the rig as it stands, whatever its covariance.
+    both_sides : bool
+        The plane is translucent: the spot may be seen from either side, and both planes of its image are sampled.
+    draws : int
+        Effective independent draws wanted.
+    budget : int
+        Steps of the ensemble allowed.
+    progress : callable, optional
+        Called with a `Progress` now and then; an interrupt (Ctrl-C) ends sampling and returns what there is.
+
+    Returns
+    -------
+    Posterior
+
+    Raises
+    ------
+    InputError
+        If spot, rig or an option cannot be used, five points come without a sigma, or the prior leaves out every plane
+        that the spot allows.
+    """
+    problem = Problem.from_spot(spot, rig)
+    found = sample_problem(
+        problem,
+        seed=seed,
+        prior=prior,
+        robust=robust,
+        condition_on_rig=condition_on_rig,
+        both_sides=both_sides,
+        draws=draws,
+        budget=budget,
+        progress=progress,
+    )
+    return replace(found, flags=(*spot.flags, *found.flags))
+
+
+def sample_problem(
+    problem: Problem,
+    *,
+    seed: int = 0,
+    prior: PlanePrior | None = None,
+    robust: float | None = None,
+    condition_on_rig: bool = False,
+    both_sides: bool = False,
+    draws: int = 2000,
+    budget: int = 20_000,
+    progress: Callable[[chain.Progress], None] | None = None,
+) -> Posterior:
+    """As `sample_posterior`, from a `Problem`: points on the laser-parallel image plane, in mm."""
+    for name, value in (("seed", seed + 1), ("draws", draws), ("budget", budget)):
+        if value < 1:
+            raise InputError(f"{name} must be a whole number, {'0' if name == 'seed' else '1'} or more")
+    prior = Prior() if prior is None else prior
+    likelihood = Likelihood.of(problem, robust=robust, condition_on_rig=condition_on_rig)
+    target = Target(likelihood, prior, both_sides)
+    state = np.random.RandomState(np.random.MT19937(np.random.SeedSequence(seed)))
+
+    peaks = _peaks(target, problem, state)
+    mixture = Mixture(target, peaks, prior if isinstance(prior, Prior) else Prior())
+    candidates = mixture.draw(state, _CANDIDATES)
+    log_likelihood = target.log_likelihood(candidates)
+    log_prior = _checked(target.log_prior(candidates))
+    log_weights = -mixture.log_density(candidates)
+    _refuse_excluded(target, peaks[0], log_likelihood, log_prior)
+    start = _walkers(target, candidates, log_likelihood + log_prior + log_weights, peaks[0], state)
+    run = chain.run(target, mixture, start, state, draws=draws, budget=budget, progress=progress)
+
+    planes, log_scale = target.planes(run.draws), target.log_scale(run.draws)
+    rig_samples = likelihood.draw_rig(np.random.default_rng([seed, 1]), planes, log_scale)
+    names = () if likelihood.rig is None else likelihood.rig.parameters
+    values = quantities(planes, beams(problem, names, rig_samples))
+    if log_scale is not None:
+        values["noise_scale"] = np.exp(log_scale)
+    samples = np.stack([values["z_L"], values["p"], values["q"]], axis=1)
+    laplace = laplace_of(target, problem, peaks[0])
+    outside = ~np.isfinite(log_prior)
+    return Posterior(
+        samples=samples,
+        rig_samples=rig_samples,
+        rig_parameters=names,
+        quantities=values,
+        laplace=laplace,
+        agreement_with_laplace=compare(laplace, samples, run.diagnostics.ess),
+        diagnostics=run.diagnostics,
+        prior=prior,
+        prior_sentence=prior.sentence(problem.setup.r),
+        prior_effect=prior_effect(target, run.draws, log_likelihood + log_weights, outside),
+        scale=likelihood.scale,
+        robust=likelihood.robust,
+        modes=_modes(target, planes, samples, run.diagnostics.ess),
+        flags=problem.flags,
+    )
+
+
+def _peaks(target: Target, problem: Problem, state: np.random.RandomState) -> tuple[Peak, ...]:
+    """Tops of the likelihood, the highest first: from the solved plane, from the best of many draws, and mirrored."""
+    starts: list[tuple[Array, Array]] = []
+    guess = _GUESS * np.eye(target.dimension)
+    solution = solve_problem(problem)
+    if solution.pose is not None:
+        plane = np.array([solution.pose.z_L + problem.axial_shift, *solution.pose.slopes])
+        root = guess.copy()
+        if solution.uncertainty is not None and np.isfinite(solution.uncertainty.spot).all():
+            scale = np.array([1 / plane[0], 1.0, 1.0])
+            root[:3, :3] = scale[:, None] * np.linalg.cholesky(solution.uncertainty.spot)
+        starts.append((_theta(target, plane), root))
+    wide = Prior(depth_radii=(1.0, 1e4)).draw_unseen(state, _CANDIDATES, problem.setup)
+    thetas = np.stack([_theta(target, plane) for plane in wide])
+    values = target.log_likelihood(thetas)
+    starts.append((thetas[int(np.argmax(values))], guess))
+    found = [
+        climb(target.log_likelihood, start, root)
+        for start, root in starts
+        if np.isfinite(target.log_likelihood(start[None])[0])
+    ]
+    if not found:
+        raise InputError("no plane before the camera has a spot anywhere near these points")
+    if target.has_mirror:
+        best = max(found, key=lambda peak: peak.height)
+        image = target.mirrored(best.centre[None])[0][0]
+        found.append(climb(target.log_likelihood, image, best.root))
+    found.sort(key=lambda peak: -peak.height)
+    kept: list[Peak] = []
+    for peak in found:
+        apart = all(np.linalg.norm(np.linalg.solve(other.root, peak.centre - other.centre)) > 1 for other in kept)
+        if apart and peak.height > found[0].height - _BEYOND:
+            kept.append(peak)
+    return tuple(kept)
+
+
+def _theta(target: Target, plane: Array) -> Array:
+    return np.array([math.log(max(plane[0], 1e-300)), *plane[1:], *([0.0] * (target.dimension - 3))])
+
+
+def _checked(log_prior: Array) -> Array:
+    if np.isnan(log_prior).any() or np.max(log_prior) == np.inf:
+        raise InputError("the prior's log density must be a number, or minus infinity, for every plane")
+    return log_prior
+
+
+def _refuse_excluded(target: Target, peak: Peak, log_likelihood: Array, log_prior: Array) -> None:
+    """Say it where no draw that the prior allows is anywhere near what the spot says."""
+    allowed = np.isfinite(log_prior)
+    if allowed.any() and np.max(log_likelihood[allowed]) > peak.height - _BEYOND:
+        return
+    z_L, p, q = target.planes(peak.centre[None])[0].tolist()
+    tilt = math.degrees(math.atan(math.hypot(p, q)))
+    raise InputError(
+        f"the prior leaves out every plane that the spot allows (the likeliest has z_L = {z_L:.5g} mm, "
+        f"{z_L / target.likelihood.setup.r:.4g} radii of the beam, and a tilt of {tilt:.4g} deg): widen its bounds"
+    )
+
+
+def _walkers(target: Target, candidates: Array, log_weights: Array, peak: Peak, state: np.random.RandomState) -> Array:
+    """Walkers where the posterior is: draws from the mixture, drawn again by their weights."""
+    usable = int(np.sum(np.isfinite(log_weights)))
+    chosen = candidates[resample(state, log_weights, min(chain.WALKERS, usable))]
+    while len(chosen) < chain.WALKERS:
+        near = chosen[state.randint(len(chosen), size=chain.WALKERS)]
+        moved = near + 0.1 * state.standard_normal(near.shape) @ peak.root.T
+        chosen = np.concatenate([chosen, moved[np.isfinite(target(moved))]])[: chain.WALKERS]
+    return chosen
+
+
+def _modes(target: Target, planes: Array, samples: Array, ess: float) -> tuple[Mode, ...]:
+    setup = target.likelihood.setup
+    lit = planes[:, 0] - planes[:, 1] * setup.e_x - planes[:, 2] * setup.e_y > 0
+    found = []
+    for side in (True, False):
+        mine = lit == side
+        weight = float(np.mean(mine))
+        if mine.any():
+            error = math.sqrt(weight * (1 - weight) / ess)
+            found.append(Mode(weight, error, np.median(samples[mine], axis=0), side))
+    return tuple(sorted(found, key=lambda mode: -mode.weight))
