@@ -24,6 +24,7 @@ class Status(Enum):
     NO_NOISE_SCALE = "The plane was found, but five points leave nothing to estimate their noise from: give sigma_px."
     UNIDENTIFIABLE = "The equations do not fix the plane: their Jacobian is rank deficient."
     OVERDETERMINED = "There are more equations than unknowns: as hard constraints no solver can take them."
+    UNUSABLE = "The boundary points cannot be used: they are too few, not finite, without a proper sigma, or on a line."
     NO_PLANE = "No plane before the camera, lit on the side it sees, has a spot with this image ellipse."
     INFEASIBLE = "The solver stopped where the constraints do not hold."
     NOT_CONVERGED = "The solver stopped before it reached a minimum."

@@ -221,7 +221,7 @@ def _fit_chunk(sample: Sample, verdict: np.ndarray, method: Method, scale_unknow
     theta, spread = estimators.taubin(sample)
     reach = 1 + np.max(np.abs(sample.origin), axis=-1) / sample.unit
     undetermined = (spread <= 64 * EPS * reach) & (verdict == 0)
-    line = line_explains(sample, _scaled(theta), scale_unknown) & ~undetermined & (verdict == 0)
+    line = line_explains(sample, scaled(theta), scale_unknown) & ~undetermined & (verdict == 0)
     if np.any(undetermined | line):
         verdict = np.where(line, Verdict.LINE, verdict)
         verdict = np.where(undetermined, undetermined_verdict(sample.u), verdict)
@@ -245,7 +245,7 @@ def _fit_chunk(sample: Sample, verdict: np.ndarray, method: Method, scale_unknow
     return _Chunk(B, factor, estimators.chi_squared(sample, B), verdict)
 
 
-def _scaled(theta: FloatArray) -> FloatArray:
+def scaled(theta: FloatArray) -> FloatArray:
     """Return B of six coefficients; a conic without x^2 gets coefficients so large that it is seen to be no ellipse."""
     b0 = theta[:, :1]
     tiny = EPS * EPS * np.max(np.abs(theta), axis=-1, keepdims=True)
@@ -254,7 +254,7 @@ def _scaled(theta: FloatArray) -> FloatArray:
 
 def _start_and_maximise(sample: Sample, theta: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Start from Taubin's fit, or from the direct one where Taubin's is no ellipse."""
-    start = _scaled(theta)
+    start = scaled(theta)
     real = is_ellipse(start)
     if not np.all(real):
         start = np.where(real[:, None], start, estimators.direct(sample))
@@ -267,7 +267,7 @@ def _always(B: FloatArray) -> tuple[FloatArray, BoolArray]:
 
 _ESTIMATORS: dict[Method, Callable[[Sample, FloatArray], tuple[FloatArray, BoolArray]]] = {
     "maximum_likelihood": _start_and_maximise,
-    "taubin": lambda _, theta: _always(_scaled(theta)),
+    "taubin": lambda _, theta: _always(scaled(theta)),
     "direct": lambda sample, _: _always(estimators.direct(sample)),
     "least_squares": lambda sample, _: _always(estimators.least_squares(sample)),
 }

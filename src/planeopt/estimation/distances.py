@@ -21,9 +21,8 @@ from planeopt.errors import InputError
 
 Array = NDArray[np.float64]
 
-FOOT_TOLERANCE = 1e-9
-"""A Newton step that moves no distance by more than this share of a standard deviation (of the distance, where that is
-larger) ends the search for the feet."""
+FOOT_TOLERANCE = 1e-10
+"""How far a distance may be off, as a share of a standard deviation or, where that is larger, of itself."""
 
 MAX_FOOT_STEPS = 40
 """Two or three are usual; points near the centre of an ellipse need most."""
@@ -151,31 +150,31 @@ class Conics:
         f, e_x, e_y, r = setup
         ox, oy, unit = boundary.origin[..., 0], boundary.origin[..., 1], boundary.unit
         w = z_L - p * e_x - q * e_y
-        nought = np.zeros_like(w)
-        x, y = (unit + nought, nought, ox + nought), (nought, unit + nought, oy + nought)
-        level = (-p * unit, -q * unit, f - p * ox - q * oy)
-        a1 = tuple(w * x_i - e_x * l_i for x_i, l_i in zip(x, level, strict=True))
-        a2 = tuple(w * y_i - e_y * l_i for y_i, l_i in zip(y, level, strict=True))
-        turn = tuple(e_y * x_i - e_x * y_i for x_i, y_i in zip(x, y, strict=True))
-        F = _product(a1, a1) + _product(a2, a2) - r**2 * _product(level, level)
-        value = np.zeros((3, *F.shape))
-        value[0] = F
-        value[1, 3], value[1, 4], value[1, 5] = 2 * F[0], F[1], F[3]
-        value[2, 3], value[2, 4], value[2, 5] = F[1], 2 * F[2], F[4]
-        by_plane = 2 * np.stack(
-            [
-                _product(a1, x) + _product(a2, y),
-                _product(a2, turn) + r**2 * _product(level, x),
-                r**2 * _product(level, y) - _product(a1, turn),
-            ]
-        )
-        return cls(np.moveaxis(value, (0, 1), (-2, -1)), np.moveaxis(by_plane, (0, 1), (-2, -1)))
+        x = np.zeros((3, *np.broadcast_shapes(w.shape, unit.shape)))
+        y, level = np.zeros_like(x), np.empty_like(x)
+        x[0], x[2], y[1], y[2] = unit, ox, unit, oy
+        level[0], level[1], level[2] = -p * unit, -q * unit, f - p * ox - q * oy
+        a1, a2, turn = w * x - e_x * level, w * y - e_y * level, e_y * x - e_x * y
+        made = np.zeros((6, 6, *x.shape[1:]))
+        _add_products(made[0], (a1, a1), (a2, a2), (-(r**2) * level, level))
+        made[1, 3], made[1, 4], made[1, 5] = 2 * made[0, 0], made[0, 1], made[0, 3]
+        made[2, 3], made[2, 4], made[2, 5] = made[0, 1], 2 * made[0, 2], made[0, 4]
+        _add_products(made[3], (2 * a1, x), (2 * a2, y))
+        _add_products(made[4], (2 * a2, turn), (2 * r**2 * level, x))
+        _add_products(made[5], (-2 * a1, turn), (2 * r**2 * level, y))
+        coefficients = np.ascontiguousarray(np.moveaxis(made, (0, 1), (-2, -1)))
+        return cls(coefficients[..., :3, :], coefficients[..., 3:, :])
 
 
-def _product(one: tuple[Array, ...], other: tuple[Array, ...]) -> Array:
-    """Coefficients (6, ...) of the product of two linear forms in ``(x, y, 1)``."""
-    (a, b, c), (d, e, g) = one, other
-    return np.stack([a * d, a * e + b * d, b * e, a * g + c * d, b * g + c * e, c * g])
+def _add_products(to: Array, *pairs: tuple[Array, Array]) -> None:
+    """Add the coefficients (6, ...) of products of linear forms in ``(x, y, 1)``."""
+    for one, other in pairs:
+        to[0] += one[0] * other[0]
+        to[1] += one[0] * other[1] + one[1] * other[0]
+        to[2] += one[1] * other[1]
+        to[3] += one[0] * other[2] + one[2] * other[0]
+        to[4] += one[1] * other[2] + one[2] * other[1]
+        to[5] += one[2] * other[2]
 
 
 @dataclass(frozen=True)
@@ -231,6 +230,7 @@ def feet(conics: Conics, boundary: Boundary, start: Array | None = None, toleran
         hx, hy = (ux, uy) if isotropic else (wxx * ux + wxy * uy, wxy * ux + wyy * uy)
         return sxx, sxy, syy, size, ux, uy, hx, hy, ux * hx + uy * hy
 
+    last = np.sqrt(tolerance)
     m = np.zeros_like(value) if start is None else np.maximum(start, 0.5 * pole)
     for _ in range(MAX_FOOT_STEPS):
         sxx, sxy, syy, size, ux, uy, hx, hy, steepness = bent(m)
@@ -240,8 +240,9 @@ def feet(conics: Conics, boundary: Boundary, start: Array | None = None, toleran
         # come back from the left without fail.
         step = np.maximum(step, 0.5 * (pole - m))
         m = m + step
-        moved, limit = np.abs(step) * weight, tolerance * (1 / np.sqrt(steepness) + np.abs(m) * weight)
-        if np.all(moved <= limit):
+        # The step after this one would be about its square.
+        height = np.sqrt(steepness) * weight
+        if np.all(np.abs(step) * height <= last * (1 + np.abs(m) * height)):
             break
     _, _, _, _, ux, uy, _, _, steepness = bent(m)
     height = np.sqrt(steepness)

@@ -1,0 +1,316 @@
+"""Maximum likelihood for many sets of boundary points on the laser-parallel image plane: arrays in, arrays out."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planeopt import equations as eq
+from planeopt.estimation import evidence
+from planeopt.estimation.descent import Descent, Loss, at_planes, descend, within_bounds
+from planeopt.estimation.distances import Boundary
+from planeopt.estimation.sets import Sets, closed_form_planes, shrunk_planes, untilted_planes
+from planeopt.formulations.bounds import FARTHEST, STEEPEST
+from planeopt.solution import Status
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+CHUNK = 1 << 14
+"""Points worked on at once: the arrays of one piece stay in the processor's cache."""
+
+STATUSES = tuple(Status)
+"""`PointsSolution.codes` count in it."""
+
+DEFICIENT = 1e-13
+"""Smallest eigenvalue of an information matrix scaled to ones on its diagonal that is more than rounding."""
+
+# Longest over shortest row of a piece.
+_ALIKE = 1.25
+
+# Relative distance from the edge of what can be seen at which a plane counts as being on it.
+_EDGE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class PointsSolution:
+    """Maximum-likelihood planes, a row a spot; NaN where there is no number, and `codes` says why.
+
+    Attributes
+    ----------
+    planes : (M, 3)
+        ``(z_L, p, q)`` in the equations' sense (`z_L` the spot centre's z in the laser-parallel frame); mm, 1, 1.
+    covariance : (M, 3, 3)
+        Of the planes, to first order, from the points alone.
+    cost : (M,)
+        Sum of squared distances in standard deviations, weighted where robust: chi-squared with N - 3 degrees of
+        freedom where the noise was given and right.
+    chi2 : (M,)
+        The part of it that another ellipse would explain and no plane does: chi-squared with 2 degrees of freedom, or
+        twice an F variable with 2 and `scale_dof` where the scale was estimated; tests the rig.
+    scale : (M,)
+        What the given noise was multiplied by: 1, or its estimated scale (sigma in mm where no noise was given).
+    scale_dof : (M,) of int
+        Degrees of freedom behind an estimated scale; -1 where it was given.
+    floored : (M,) of bool
+        Whether the residuals were at rounding level and the noise was set to a floor.
+    counts : (M,) of int
+        Points of each row.
+    codes : (M,) of int
+        Index into `STATUSES`.
+    steps : (M,) of int
+        Of Gauss-Newton.
+    """
+
+    planes: Array
+    covariance: Array
+    cost: Array
+    chi2: Array
+    scale: Array
+    scale_dof: NDArray[np.int64]
+    floored: Bools
+    counts: NDArray[np.int64]
+    codes: NDArray[np.int64]
+    steps: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.planes)
+
+    @property
+    def status(self) -> tuple[Status, ...]:
+        """A status a row."""
+        return tuple(STATUSES[code] for code in self.codes)
+
+    @property
+    def ok(self) -> Bools:
+        """Where the plane was found and image and rig agree, (M,)."""
+        return self.codes == STATUSES.index(Status.CONVERGED)
+
+
+def solve_points(
+    points: ArrayLike,
+    noise: ArrayLike | None,
+    setup: eq.Setup,
+    *,
+    counts: ArrayLike | None = None,
+    start: ArrayLike | None = None,
+    robust: float | None = None,
+    scale_known: ArrayLike = True,
+) -> PointsSolution:
+    """Find the planes whose spots' images lie nearest to the points, many at once.
+
+    Parameters
+    ----------
+    points : (M, N, 2)
+        On the laser-parallel image plane, mm.
+    noise : scalar, (M, N) or (M, N, 2, 2), or None
+        Standard deviations (mm) or covariances (mm^2). None: equal and isotropic, with an unknown scale.
+    setup : Setup
+        ``f, e_x, e_y, r``, mm.
+    counts : (M,) of int, optional
+        The first so many points of each row are used; all unless given.
+    start : (M, 3), optional
+        Planes to begin with, NaN for the closed form; rows that get nowhere begin again from the closed form.
+    robust : float, optional
+        Degrees of freedom of Student's t, whose scale is the noise. The covariance is then that of this model.
+    scale_known : bool or (M,) of bool
+        False where the noise is right only up to a common factor, estimated from the residuals.
+
+    Returns
+    -------
+    PointsSolution
+        What is wrong with a row costs that row only.
+
+    Raises
+    ------
+    InputError
+        If a shape does not fit, or `robust` is not positive.
+    """
+    given = Sets.of(points, noise, setup, counts, start, robust, scale_known)
+    order = np.argsort(given.counts, kind="stable")
+    lengths = np.maximum(given.counts[order], 1)
+    pieces, begin = [], 0
+    while begin < len(order):
+        # Rows of nearly the same length share a piece, so that little of it is padding.
+        alike = int(np.searchsorted(lengths, _ALIKE * lengths[begin], side="right"))
+        end = min(alike, begin + max(1, CHUNK // int(lengths[alike - 1])))
+        pieces.append(_solve_piece(given.take(order[begin:end])))
+        begin = end
+    return _joined(pieces, order)
+
+
+def improbability(chi2: Array, scale_dof: NDArray[np.int64]) -> Array:
+    """p-value (M,) of `PointsSolution.chi2`: of chi-squared with 2 degrees of freedom, or of its F counterpart."""
+    dof = np.maximum(scale_dof, 1)
+    return np.where(scale_dof < 0, np.exp(-chi2 / 2), (1 + chi2 / dof) ** (-dof / 2))
+
+
+def _joined(pieces: list[PointsSolution], order: NDArray[np.intp]) -> PointsSolution:
+    back = np.argsort(order)
+    names = [field.name for field in fields(PointsSolution)]
+    if not pieces:
+        return _blank(0, np.zeros(0, dtype=np.int64))
+    return PointsSolution(*(np.concatenate([getattr(piece, name) for piece in pieces])[back] for name in names))
+
+
+def _blank(m: int, counts: NDArray[np.int64]) -> PointsSolution:
+    """Rows of which nothing can be said."""
+    nan = np.full(m, np.nan)
+    return PointsSolution(
+        planes=np.full((m, 3), np.nan),
+        covariance=np.full((m, 3, 3), np.nan),
+        cost=nan.copy(),
+        chi2=nan.copy(),
+        scale=nan.copy(),
+        scale_dof=np.full(m, -1),
+        floored=np.zeros(m, dtype=bool),
+        counts=counts,
+        codes=np.full(m, STATUSES.index(Status.UNUSABLE)),
+        steps=np.zeros(m, dtype=np.int64),
+    )
+
+
+def _put(into: PointsSolution, rows: NDArray[np.intp], values: PointsSolution) -> None:
+    for field in fields(PointsSolution):
+        getattr(into, field.name)[rows] = getattr(values, field.name)
+
+
+def _solve_piece(given: Sets) -> PointsSolution:
+    found = _blank(len(given.counts), given.counts)
+    given = given.filled()
+    rows = np.flatnonzero(given.usable())
+    if len(rows) < len(found):
+        given = given.take(rows).filled()
+    if not len(rows):
+        return found
+    given = given.floored()
+    first, straight = closed_form_planes(given)
+    if np.any(straight):
+        kept = np.flatnonzero(~straight)
+        rows, first, given = rows[kept], first[kept], given.take(kept).filled()
+        if not len(rows):
+            return found
+    started = within_bounds(given.start, given.setup)
+    best = _solve_from(np.where(started[:, None], given.start, first), given)
+    # A row that got nowhere, or to a plane that does not explain its points, begins again from elsewhere.
+    for elsewhere in (shrunk_planes, untilted_planes):
+        poor = np.flatnonzero(np.isin(best.codes, _POOR))
+        if not len(poor):
+            break
+        part = given.take(poor).filled()
+        other = _solve_from(elsewhere(part), part)
+        reached = ~np.isin(other.codes, _NOWHERE)
+        nearer = other.cost * other.scale**2 < best.cost[poor] * best.scale[poor] ** 2 * (1 - 1e-9)
+        better = np.flatnonzero(reached & (np.isin(best.codes[poor], _NOWHERE) | nearer))
+        _put(best, poor[better], _rows(other, better))
+    _put(found, rows, best)
+    return found
+
+
+def _code(status: Status) -> int:
+    return STATUSES.index(status)
+
+
+_NOWHERE = [_code(status) for status in (Status.NOT_CONVERGED, Status.AT_BOUND, Status.UNIDENTIFIABLE)]
+_POOR = [*_NOWHERE, _code(Status.INCONSISTENT)]
+
+
+def _rows(solution: PointsSolution, rows: NDArray[np.intp]) -> PointsSolution:
+    return PointsSolution(*(getattr(solution, field.name)[rows] for field in fields(PointsSolution)))
+
+
+def _solve_from(start: Array, given: Sets) -> PointsSolution:
+    n = given.points.shape[1]
+    used = None if np.all(given.counts == n) else np.arange(n) < given.counts[:, None]
+    boundary = Boundary.of(given.points, given.noise, used)
+    loss = Loss(given.robust, ~given.known)
+    return _judged(descend(boundary, given.setup, start, given.counts, loss), boundary, loss, given)
+
+
+def _judged(ended: Descent, boundary: Boundary, loss: Loss, given: Sets) -> PointsSolution:
+    """Covariances, evidence and statuses at the planes where the rows ended."""
+    counts = given.counts
+    with np.errstate(all="ignore"):  # rows that got nowhere say so by their status
+        conics, found, monomials = at_planes(ended.planes, boundary, given.setup, ended.multiplier)
+        rows = np.empty((len(counts), 9, found.distance.shape[-1]))
+        np.matmul(conics.by_plane, monomials, out=rows[:, :3])
+        rows[:, 3:8] = monomials[:, 1:]
+        rows[:, :8] *= found.rate[:, None, :]
+        scale = loss.scale(found.distance, counts, ended.scale)
+        rows[:, 8] = found.distance
+        products = rows @ np.swapaxes(rows, -1, -2)
+        cost = products[:, 8, 8]
+        score = products[:, 3:8, 8]
+        if loss.robust is not None:
+            weighted = loss.weights(found.distance, scale) * scale[:, None] ** 2 * found.distance
+            cost = np.einsum("mi,mi->m", weighted, found.distance)
+            score = np.einsum("mki,mi->mk", rows[:, 3:8], weighted)
+        chi2 = _explained(products[:, 3:8, 3:8], score) / loss.information
+        inverse, weakest = _inverse(products[:, :3, :3])
+        scale_dof = np.where(given.known, -1, counts - 5)
+        if loss.robust is None:
+            free2 = np.maximum(1.0, (cost - chi2) / np.maximum(scale_dof, 1))
+        else:
+            free2 = np.maximum(1.0, scale**2 * counts / np.maximum(counts - 3, 1))
+        scale2 = np.where(scale_dof > 0, free2, 1.0)
+        solution = PointsSolution(
+            planes=ended.planes,
+            covariance=inverse * (scale2 / loss.information)[:, None, None],
+            cost=cost / scale2,
+            chi2=chi2 / scale2,
+            scale=given.factor * np.sqrt(scale2),
+            scale_dof=scale_dof,
+            floored=np.where(given.known, given.factor > 1, (scale_dof > 0) & (scale2 == 1)),
+            counts=counts,
+            codes=np.full(len(counts), _code(Status.CONVERGED)),
+            steps=ended.steps,
+        )
+        _judge(solution, ended.converged, weakest, given.setup)
+    return solution
+
+
+def _explained(information: Array, score: Array) -> Array:
+    """``score' information^-1 score`` (M,)."""
+    size = np.sqrt(np.einsum("mii->mi", information))
+    normed = _regular(information / (size[:, :, None] * size[:, None, :]))
+    right = np.nan_to_num(score / size)
+    return np.sum(np.linalg.solve(normed, right[..., None])[..., 0] * right, axis=-1)
+
+
+def _inverse(information: Array) -> tuple[Array, Array]:
+    """Inverses (M, 3, 3), and the smallest eigenvalues (M,) of the matrices scaled to ones on the diagonal."""
+    size = np.sqrt(np.einsum("mii->mi", information))
+    normed = _regular(information / (size[:, :, None] * size[:, None, :]))
+    weakest = np.asarray(np.linalg.eigvalsh(normed)[:, 0], dtype=float)
+    normed = np.where((weakest > DEFICIENT)[:, None, None], normed, np.eye(3))
+    inverse = np.asarray(np.linalg.inv(normed), dtype=float)
+    return inverse / (size[:, :, None] * size[:, None, :]), weakest
+
+
+def _regular(matrices: Array) -> Array:
+    """The matrices with the identity in place of what is not finite, and all of them kept invertible."""
+    eye = np.eye(matrices.shape[-1])
+    finite = np.isfinite(matrices).all(axis=(-1, -2), keepdims=True)
+    return np.where(finite, matrices, eye) + 1e-15 * eye
+
+
+def _judge(solution: PointsSolution, converged: Bools, weakest: Array, setup: eq.Setup) -> None:
+    """Write the codes, and NaN where there is no pose or no covariance."""
+    z_L, p, q = solution.planes.T
+    slope = np.hypot(p, q)
+    lit = z_L - p * setup.e_x - q * setup.e_y
+    edge = (z_L - setup.r * slope < _EDGE * z_L) | (lit < _EDGE * z_L)
+    edge |= (z_L > FARTHEST * setup.r * (1 - _EDGE)) | (slope > np.tan(STEEPEST) * (1 - _EDGE))
+    codes = solution.codes
+    codes[solution.scale_dof == 0] = _code(Status.NO_NOISE_SCALE)
+    known = solution.scale_dof != 0
+    improbable = ~(improbability(solution.chi2, solution.scale_dof) >= evidence.IMPROBABLE)
+    codes[known & improbable] = _code(Status.INCONSISTENT)
+    codes[~(weakest > DEFICIENT)] = _code(Status.UNIDENTIFIABLE)
+    codes[~converged] = _code(Status.NOT_CONVERGED)
+    codes[edge] = _code(Status.AT_BOUND)
+    nowhere = np.isin(codes, _NOWHERE)
+    solution.planes[nowhere & ~edge] = np.nan
+    solution.covariance[nowhere | ~known] = np.nan
+    for values in (solution.chi2, solution.cost):
+        values[~known] = np.nan

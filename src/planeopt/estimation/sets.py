@@ -1,0 +1,184 @@
+"""Many sets of boundary points, checked, and the planes from which their searches begin."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planeopt import equations as eq
+from planeopt.closed_form import solve_both
+from planeopt.conic import Verdict, fit_conic, is_ellipse
+from planeopt.conic.estimators import taubin
+from planeopt.conic.fits import scaled
+from planeopt.conic.refusals import line_explains
+from planeopt.conic.sample import prepare
+from planeopt.conic.transport import conic_from_local
+from planeopt.errors import InputError
+from planeopt.estimation.descent import within_bounds
+from planeopt.formulations.bounds import FARTHEST
+from planeopt.formulations.problem import NOISE_FLOOR
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+START_POINTS = 40
+"""Points of each spot that the start is made from."""
+
+_UNUSABLE = (Verdict.NOT_FINITE, Verdict.BAD_NOISE, Verdict.TOO_FEW, Verdict.LINE, Verdict.LINE_PAIR)
+
+# Of `taubin`'s spread: below it a family of conics passes through the points, to rounding far from the origin.
+_UNDETERMINED = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class Sets:
+    """Sets of boundary points, one a row, with all that is known of each."""
+
+    points: Array
+    noise: Array
+    """(M, 1), (M, N) or (M, N, 2, 2)."""
+    setup: eq.Setup
+    counts: NDArray[np.int64]
+    start: Array
+    robust: float | None
+    known: Bools
+    factor: Array
+    """What the noise was multiplied by, (M,)."""
+
+    @classmethod
+    def of(
+        cls,
+        points: ArrayLike,
+        noise: ArrayLike | None,
+        setup: eq.Setup,
+        counts: ArrayLike | None,
+        start: ArrayLike | None,
+        robust: float | None,
+        scale_known: ArrayLike,
+    ) -> "Sets":
+        xy = np.asarray(points, dtype=float)
+        if xy.ndim != 3 or xy.shape[2] != 2:
+            raise InputError(f"points must have shape (M, N, 2), mm, not {xy.shape}")
+        if robust is not None and not robust > 0:
+            raise InputError(f"robust must be a positive number of degrees of freedom, not {robust!r}")
+        m, n = xy.shape[:2]
+        sigma = np.asarray(1.0 if noise is None else noise, dtype=float)
+        if sigma.shape not in ((), (m, n), (m, n, 2, 2)):
+            raise InputError(f"noise must be one sigma, or of shape {(m, n)} or {(m, n, 2, 2)}, not {sigma.shape}")
+        known = np.broadcast_to(np.asarray(scale_known, dtype=bool) & (noise is not None), (m,))
+        used = np.full(m, n) if counts is None else np.asarray(counts, dtype=int)
+        if used.shape != (m,) or np.any(used < 0) or np.any(used > n):
+            raise InputError(f"counts must be {m} whole numbers from 0 to {n}")
+        first = np.full((m, 3), np.nan) if start is None else np.asarray(start, dtype=float)
+        if first.shape != (m, 3):
+            raise InputError(f"start must have shape {(m, 3)}, not {first.shape}")
+        sigma = np.broadcast_to(sigma, (m, 1)) if sigma.ndim == 0 else sigma
+        return cls(xy, sigma, setup, used, first, robust, known, np.ones(m))
+
+    def take(self, rows: NDArray[np.intp]) -> "Sets":
+        """Some rows, no longer than they need to be."""
+        n = int(np.max(self.counts[rows], initial=0))
+        return Sets(
+            self.points[rows, :n],
+            self.noise[rows, :n] if self.noise.shape[1] > 1 else self.noise[rows],
+            self.setup,
+            self.counts[rows],
+            self.start[rows],
+            self.robust,
+            self.known[rows],
+            self.factor[rows],
+        )
+
+    def filled(self) -> "Sets":
+        """With each row's own points, repeated, where it has none."""
+        n = self.points.shape[1]
+        if np.all(self.counts == n):
+            return self
+        index = np.arange(n) % np.maximum(self.counts, 1)[:, None]
+        rows = np.arange(len(index))[:, None]
+        noise = self.noise[rows, index] if self.noise.shape[1] > 1 else self.noise
+        return replace(self, points=self.points[rows, index], noise=noise)
+
+    def floored(self) -> "Sets":
+        """With the noise at the floor where its scale is unknown, and not below it where it was given.
+
+        As `planeopt.formulations.Problem.from_points` has it.
+        """
+        typical = np.median(self.variance, axis=1)
+        floors = NOISE_FLOOR**2 * np.maximum(self.spread2, 0.0) / typical
+        variance = np.where(self.known, np.maximum(1.0, floors), floors)
+        factor = np.sqrt(variance)
+        size = variance if self.noise.ndim == 4 else factor
+        return replace(self, noise=self.noise * size.reshape(-1, *[1] * (self.noise.ndim - 1)), factor=factor)
+
+    @property
+    def variance(self) -> Array:
+        """Mean variance of the points, (M, N) or (M, 1), mm^2."""
+        if self.noise.ndim == 4:
+            return (self.noise[..., 0, 0] + self.noise[..., 1, 1]) / 2
+        return self.noise**2
+
+    def usable(self) -> Bools:
+        """Rows (M,) of at least five finite points whose noise is a noise."""
+        if self.noise.ndim == 4:
+            xx, xy, yy = self.noise[..., 0, 0], self.noise[..., 0, 1], self.noise[..., 1, 1]
+            positive = (xx > 0) & (yy > 0) & (xx * yy > xy * xy) & np.isfinite(xx + yy)
+        else:
+            positive = (self.noise > 0) & np.isfinite(self.noise)
+        return np.isfinite(self.spread2) & positive.all(axis=1) & (self.counts >= 5)
+
+    @property
+    def spread2(self) -> Array:
+        """Mean squared distance (M,) of the points from their mean, mm^2; not finite where a point is not."""
+        n = self.points.shape[1]
+        mean = np.einsum("mni->mi", self.points) / n
+        return np.einsum("mni,mni->m", self.points, self.points) / n - np.einsum("mi,mi->m", mean, mean)
+
+
+def closed_form_planes(given: Sets) -> tuple[Array, Bools]:
+    """Closed form of Taubin's ellipse through some of each row's points, and which rows' points lie on lines."""
+    m, n = given.points.shape[:2]
+    points, noise = given.points, given.noise
+    if n > START_POINTS:
+        # Rows of a piece are of about one length: what is past the end of one is its own points again.
+        some = np.arange(START_POINTS) * n // START_POINTS
+        points = points[:, some]
+        noise = noise[:, some] if noise.shape[1] > 1 else noise
+    sample, verdict, _ = prepare(points, noise)
+    theta, spread = taubin(sample)
+    local = scaled(theta)
+    lost = (verdict != Verdict.OK) | ~is_ellipse(local) | ~(spread > _UNDETERMINED)
+    lost |= line_explains(sample, local, scale_unknown=False)
+    with np.errstate(all="ignore"):  # what is lost is tried again below
+        planes = _visible_or_untilted(conic_from_local(local, sample.origin, sample.unit), given)
+    straight = np.zeros(m, dtype=bool)
+    again = np.flatnonzero(lost)
+    if len(again):
+        planes[again], straight[again] = _direct_planes(given.take(again).filled())
+    return planes, straight
+
+
+def _direct_planes(given: Sets) -> tuple[Array, Bools]:
+    """As `closed_form_planes`, from the direct fit to all points: always an ellipse, too small on short arcs."""
+    fit = fit_conic(given.points, given.noise, "direct", check=False)
+    return _visible_or_untilted(fit.B, given), np.isin(fit.verdict, _UNUSABLE)
+
+
+def shrunk_planes(given: Sets) -> Array:
+    """Closed form (M, 3) of the direct fit, another beginning than `closed_form_planes`."""
+    return _direct_planes(given)[0]
+
+
+def _visible_or_untilted(B: NDArray[np.floating], given: Sets) -> Array:
+    """Visible planes (M, 3) of ellipses; where there is none, or it is out of bounds, `untilted_planes`."""
+    planes = solve_both(B, given.setup).visible
+    good = within_bounds(planes, given.setup)
+    return planes if np.all(good) else np.where(good[:, None], planes, untilted_planes(given))
+
+
+def untilted_planes(given: Sets) -> Array:
+    """Untilted planes (M, 3) whose spot is as large as the points' scatter."""
+    radius = np.sqrt(np.maximum(given.spread2, 0.0))
+    planes = np.zeros((len(radius), 3))
+    planes[:, 0] = np.clip(given.setup.f * given.setup.r / np.maximum(radius, 1e-300), 0, FARTHEST * given.setup.r / 2)
+    return planes
