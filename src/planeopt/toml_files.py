@@ -84,24 +84,6 @@ def as_tables(mapping: Mapping[str, Any], kind: type[T], source: str) -> T:
         raise InputError(f"{source}: {_in_words(str(error))}") from error
 
 
-def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write a text file beside its place, then rename it into it: a reader never sees half of it.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-    """
-    file = Path(path)
-    beside = file.with_name(f".{file.name}.{os.getpid()}.part")
-    try:
-        beside.write_text(text, encoding="utf-8")
-        beside.replace(file)
-    except OSError as error:
-        beside.unlink(missing_ok=True)
-        raise InputError(f"{file}: cannot be written: {error.strerror}") from error
-
-
 def _in_words(message: str) -> str:
     """Turn msgspec's message ("Expected `float`, got `str` - at `$.camera.fx`") into the words of the file."""
     what, _, where = message.partition(" - at ")

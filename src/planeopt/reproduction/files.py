@@ -2,8 +2,6 @@
 
 import json
 import math
-import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +16,7 @@ from planeopt.reproduction.figure7 import figure7
 from planeopt.reproduction.results import Answer, Array, Reproduction
 from planeopt.reproduction.searches import Search
 from planeopt.reproduction.style import SAVED
+from planeopt.whole_files import write_text, write_whole
 
 _FIGURES = {"figure4": figure4, "figure5": figure5, "figure7": figure7}
 _SUFFIXES = (".png", ".svg")
@@ -46,20 +45,13 @@ def write(result: Reproduction, out: Path) -> list[Path]:
             # Without a date the same numbers give the same file.
             metadata = {"Date": None} if suffix == ".svg" else None
             with mpl.rc_context(SAVED):
-                _replace(path, lambda part, f=figure, s=suffix, m=metadata: f.savefig(part, format=s[1:], metadata=m))
+                write_whole(
+                    path, lambda part, f=figure, s=suffix, m=metadata: f.savefig(part, format=s[1:], metadata=m)
+                )
             written.append(path)
     text = f"{json.dumps(to_dict(result), indent=1, allow_nan=False)}\n"
-    _replace(out / "reproduce.json", lambda part: part.write_text(text, encoding="utf-8"))
+    write_text(out / "reproduce.json", text)
     return [*written, out / "reproduce.json"]
-
-
-def _replace(path: Path, write_to: Callable[[Path], object]) -> None:
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        write_to(part)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def to_dict(result: Reproduction) -> dict[str, Any]:

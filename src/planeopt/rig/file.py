@@ -16,7 +16,8 @@ from planeopt.rig.beam import Beam
 from planeopt.rig.camera import Camera
 from planeopt.rig.covariance import RigCovariance
 from planeopt.rig.model import Rig, SpotDefinition
-from planeopt.toml_files import FORMAT, as_tables, read_toml, write_text
+from planeopt.toml_files import FORMAT, as_tables, read_toml
+from planeopt.whole_files import write_text
 
 
 class _CameraTable(msgspec.Struct, forbid_unknown_fields=True):

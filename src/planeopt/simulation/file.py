@@ -27,7 +27,8 @@ from planeopt.simulation.tables import (
     Table,
     Triple,
 )
-from planeopt.toml_files import FORMAT, as_tables, read_toml, write_text
+from planeopt.toml_files import FORMAT, as_tables, read_toml
+from planeopt.whole_files import write_text
 
 
 class PlaneTable(Table, frozen=True):

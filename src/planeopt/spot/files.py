@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from planeopt.errors import InputError
 from planeopt.spot.headers import coding_of
 from planeopt.spot.points import MIN_POINTS, Spot, SpotFlag
+from planeopt.whole_files import write_text
 
 _log = logging.getLogger(__name__)
 _DECODING = threading.Lock()  # standard error is one for the whole process
@@ -170,27 +171,11 @@ def write_points(spot: Spot, path: str | os.PathLike[str]) -> None:
     InputError
         If the file cannot be written.
     """
-    path = Path(path)
     columns = [spot.points[:, 0], spot.points[:, 1]] + ([] if spot.sigma is None else [spot.sigma])
     header = _HEADERS[len(columns) - 2]
     rows = (",".join(repr(float(value)) for value in row) for row in zip(*columns, strict=True))
     text = "\n".join([",".join(header), *rows]) + "\n"
-    partial: Path | None = None
-    try:
-        with tempfile.NamedTemporaryFile(
-            "w", encoding="utf-8", newline="", dir=path.parent, prefix=f".{path.name}.", delete=False
-        ) as file:
-            partial = Path(file.name)
-            file.write(text)
-        # A temporary file is private; the result should be as readable as any file of its owner.
-        mask = os.umask(0)
-        os.umask(mask)
-        partial.chmod(0o666 & ~mask)
-        partial.replace(path)
-    except OSError as error:
-        if partial is not None:
-            partial.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+    write_text(path, text)
 
 
 @dataclass
