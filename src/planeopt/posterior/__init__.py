@@ -10,6 +10,7 @@ from planeopt.posterior.diagnostics import Diagnostics, Stop
 from planeopt.posterior.gaussian import Laplace
 from planeopt.posterior.likelihood import Likelihood, Scale
 from planeopt.posterior.prior import PlanePrior, Prior
+from planeopt.posterior.record import PosteriorRecord, posterior_record
 from planeopt.posterior.result import Mode, Posterior, PriorEffect
 from planeopt.posterior.sample import sample_posterior, sample_problem
 from planeopt.posterior.summary import Cone, Interval, Split
@@ -23,12 +24,14 @@ __all__ = [
     "Mode",
     "PlanePrior",
     "Posterior",
+    "PosteriorRecord",
     "Prior",
     "PriorEffect",
     "Progress",
     "Scale",
     "Split",
     "Stop",
+    "posterior_record",
     "sample_posterior",
     "sample_problem",
 ]
