@@ -18,7 +18,7 @@ from planeopt.spot import NoSpotReason, SpotNotFound
 KEYS = [
     *("input", "status", "message", "formulation", "solver", "z_L_mm", "alpha_deg", "beta_deg", "R_mm", "normal"),
     *("point_mm", "intercepts_mm", "slopes", "sigma", "sigma_spot", "covariance", "chi2", "dof", "p_value"),
-    *("chi2_points", "dof_points", "other_plane", "n_points", "arc_fraction", "flags"),
+    *("chi2_points", "dof_points", "other_plane", "mount", "n_points", "arc_fraction", "flags"),
 ]
 NESTED = {
     "intercepts_mm": ["a", "b", "c"],

@@ -192,7 +192,7 @@ def measure(
         return Measurement(input_error(name, _naming(path, str(error))))
     except UNFORESEEN as error:
         return Measurement(input_error(name, _broken_down(path, error)))
-    return Measurement(from_solution(name, solution), spot, solution)
+    return Measurement(from_solution(name, solution, rig), spot, solution)
 
 
 def measure_many(

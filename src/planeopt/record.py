@@ -1,8 +1,8 @@
 """The pose record: what one input gave, as plain JSON values with every key always present.
 
 Lengths are in mm, angles in degrees, `None` (JSON's null) stands for what is unknown, infinite or has no value; NaN and
-infinity never appear. Nested objects keep all their keys as well; only `other_plane` is null as a whole, where there is
-none.
+infinity never appear. Nested objects keep all their keys as well; only `other_plane` and `mount` are null as a whole,
+where there is none.
 """
 
 import json
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from planeopt.errors import InputError
 from planeopt.plane import Plane, SpotPose
+from planeopt.rig import Mount, Rig
 from planeopt.solution import OtherPlane, Sigmas, Solution
 from planeopt.spot import SpotNotFound
 
@@ -69,14 +70,24 @@ class OtherPlaneRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     reason: str
 
 
+class MountRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The plane in the frame of the rig's mount: `normal . x = d_mm`, through `point_mm`."""
+
+    frame: str
+    normal: Triple
+    point_mm: Triple
+    d_mm: float
+
+
 class PoseRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One line of `planeopt pose`.
 
     `z_L_mm`, `alpha_deg`, `beta_deg`, `R_mm` and `slopes` are of the laser-parallel frame (`z_L_mm` along the beam from
-    (e_x, e_y, 0)); `normal`, `point_mm` and `intercepts_mm` of the camera frame. `sigma` and `covariance` include the
-    rig's part where the rig has a covariance; `sigma_spot` is without it. `chi2`, `dof` and `p_value` test the rig
-    against the spot; `chi2_points` and `dof_points` the points against the plane's ellipse. `flags` are stable names in
-    lower case: first the cause, where `status` is not `ok` and the cause has a name, then what a reader should know.
+    (e_x, e_y, 0)); `normal`, `point_mm` and `intercepts_mm` of the camera frame; `mount` is the plane in the frame of
+    the rig's mount, where it has one. `sigma` and `covariance` include the rig's part where the rig has a covariance;
+    `sigma_spot` is without it. `chi2`, `dof` and `p_value` test the rig against the spot; `chi2_points` and
+    `dof_points` the points against the plane's ellipse. `flags` are stable names in lower case: first the cause, where
+    `status` is not `ok` and the cause has a name, then what a reader should know.
     """
 
     input: str
@@ -101,6 +112,7 @@ class PoseRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     chi2_points: float | None = None
     dof_points: int | None = None
     other_plane: OtherPlaneRecord | None = None
+    mount: MountRecord | None = None
     n_points: int | None = None
     arc_fraction: float | None = None
     flags: tuple[str, ...] = ()
@@ -128,7 +140,7 @@ def record_from_json(line: str | bytes) -> PoseRecord:
         raise InputError(f"not a pose record ({error})") from error
 
 
-def from_solution(name: str, solution: Solution) -> PoseRecord:
+def from_solution(name: str, solution: Solution, rig: Rig | None = None) -> PoseRecord:
     """Return the record of a solve, whatever its status.
 
     Parameters
@@ -136,6 +148,8 @@ def from_solution(name: str, solution: Solution) -> PoseRecord:
     name : str
         Of the input, as the user gave it.
     solution : Solution
+    rig : Rig, optional
+        For the plane in the frame of its mount, where it has one.
     """
     status = solution.status.record
     cause = () if status == "ok" else (solution.status,)
@@ -161,6 +175,7 @@ def from_solution(name: str, solution: Solution) -> PoseRecord:
         chi2_points=finite(solution.chi2_points),
         dof_points=solution.dof_points,
         other_plane=_other_plane(solution.other_plane),
+        mount=None if rig is None else mounted(rig.mount, plane),
         n_points=solution.n_points,
         arc_fraction=finite(solution.arc_fraction),
         flags=_names((*cause, *solution.flags)),
@@ -201,6 +216,19 @@ def _other_plane(other: OtherPlane | None) -> OtherPlaneRecord | None:
         normal=_triple(other.plane.normal),
         point_mm=_triple(other.plane.point),
         reason=other.reason,
+    )
+
+
+def mounted(mount: Mount | None, plane: Plane | None) -> MountRecord | None:
+    """Return the plane in the frame of a mount; None where there is no mount or no plane."""
+    if mount is None or plane is None:
+        return None
+    there = mount.carry(plane)
+    return MountRecord(
+        frame=mount.frame,
+        normal=_triple(there.normal),
+        point_mm=_triple(there.point),
+        d_mm=float(there.normal @ there.point),
     )
 
 

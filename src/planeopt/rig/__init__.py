@@ -6,6 +6,7 @@ from planeopt.rig.camera import Camera, distort
 from planeopt.rig.covariance import BEAM_PARAMETERS, CAMERA_PARAMETERS, PARAMETERS, RigCovariance
 from planeopt.rig.file import load_rig, rig_from_dict, save_rig
 from planeopt.rig.model import CHANNELS, SPOT_KINDS, Rig, SpotDefinition
+from planeopt.rig.mount import Mount
 
 __all__ = [
     "BEAM_PARAMETERS",
@@ -15,6 +16,7 @@ __all__ = [
     "SPOT_KINDS",
     "Beam",
     "Camera",
+    "Mount",
     "Rig",
     "RigCovariance",
     "Silhouette",

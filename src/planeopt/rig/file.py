@@ -4,6 +4,7 @@ The shape of the file (keys and types) is checked here, what the values may be b
 the user gets one line that names the file and the key.
 """
 
+import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,6 +17,7 @@ from planeopt.rig.beam import Beam
 from planeopt.rig.camera import Camera
 from planeopt.rig.covariance import RigCovariance
 from planeopt.rig.model import Rig, SpotDefinition
+from planeopt.rig.mount import Mount
 from planeopt.toml_files import FORMAT, as_tables, read_toml
 from planeopt.whole_files import write_text
 
@@ -48,12 +50,18 @@ class _CovarianceTable(msgspec.Struct, forbid_unknown_fields=True):
     matrix: list[list[float]]
 
 
+class _MountTable(msgspec.Struct, forbid_unknown_fields=True):
+    matrix: list[list[float]]
+    frame: str = "mount"
+
+
 class _File(msgspec.Struct, forbid_unknown_fields=True):
     camera: _CameraTable
     format: int = FORMAT
     laser: _LaserTable | None = None
     spot: _SpotTable | None = None
     covariance: _CovarianceTable | None = None
+    mount: _MountTable | None = None
 
 
 def load_rig(path: str | os.PathLike[str]) -> Rig:
@@ -101,11 +109,13 @@ def _assemble(tables: _File) -> Rig:
     camera["distortion"] = tuple(camera["distortion"])
     laser: Any = tables.laser
     covariance: Any = tables.covariance
+    mount: Any = tables.mount
     return Rig(
         camera=Camera(**camera),
         beam=None if laser is None else Beam(laser.radius_mm, tuple(laser.offset_mm), tuple(laser.direction)),
         spot=None if tables.spot is None else SpotDefinition(**msgspec.structs.asdict(tables.spot)),
         covariance=None if covariance is None else RigCovariance(tuple(covariance.parameters), covariance.matrix),
+        mount=None if mount is None else Mount(mount.matrix, mount.frame),
     )
 
 
@@ -161,6 +171,16 @@ def _as_toml(rig: Rig) -> str:
             "parameters = [" + ", ".join(f'"{name}"' for name in rig.covariance.parameters) + "]",
             "matrix = [",
             *(f"    {_list(row)}," for row in rig.covariance.matrix.tolist()),
+            "]",
+        ]
+    if rig.mount is not None:
+        lines += [
+            "",
+            "[mount]  # takes the camera's coordinates to this frame's, mm",
+            # TOML's basic strings are escaped as JSON's are.
+            f"frame = {json.dumps(rig.mount.frame, ensure_ascii=False)}",
+            "matrix = [",
+            *(f"    {_list(row)}," for row in rig.mount.matrix.tolist()),
             "]",
         ]
     return "\n".join(lines) + "\n"

@@ -13,6 +13,7 @@ from planeopt.rig.beam import Beam, rotation_to_axis
 from planeopt.rig.camera import Camera
 from planeopt.rig.checks import finite, positive
 from planeopt.rig.covariance import BEAM_PARAMETERS, PARAMETERS, RigCovariance
+from planeopt.rig.mount import Mount
 
 FloatArray = NDArray[np.float64]
 
@@ -76,6 +77,8 @@ class Rig:
     spot : SpotDefinition, optional
     covariance : RigCovariance, optional
         Of the free parameters of camera and beam, jointly.
+    mount : Mount, optional
+        The camera's pose in the frame of a robot's flange or tool.
 
     Raises
     ------
@@ -87,6 +90,7 @@ class Rig:
     beam: Beam | None = None
     spot: SpotDefinition | None = None
     covariance: RigCovariance | None = None
+    mount: Mount | None = None
 
     def __post_init__(self) -> None:
         names = () if self.covariance is None else self.covariance.parameters

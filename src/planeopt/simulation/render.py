@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planeopt.errors import InputError
 from planeopt.plane import SpotPose
-from planeopt.record import Intercepts, PoseRecord, Slopes
+from planeopt.record import Intercepts, PoseRecord, Slopes, mounted
 from planeopt.simulation import sensor, surroundings
 from planeopt.simulation.geometry import View, arc_points, view
 from planeopt.simulation.light import spot_patch
@@ -192,5 +192,6 @@ def _record(look: View, seed: int, name: str) -> PoseRecord:
         point_mm=(x, y, z),
         intercepts_mm=Intercepts(a=a, b=b, c=c),
         slopes=Slopes(p=p, q=q),
+        mount=mounted(scene.rig.mount, plane),
         arc_fraction=float(np.mean(seen)),
     )
