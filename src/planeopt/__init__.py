@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from planeopt.comparison import Comparison, compare
     from planeopt.errors import InputError
-    from planeopt.estimation import Combined, combine, solve
+    from planeopt.estimation import BatchSolution, Combined, combine, solve, solve_batch
     from planeopt.formulations import (
         AsPrinted,
         ClosedForm,
@@ -30,6 +30,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "AsPrinted",
+    "BatchSolution",
     "Beam",
     "Camera",
     "ClosedForm",
@@ -64,13 +65,14 @@ __all__ = [
     "sample_posterior",
     "save_rig",
     "solve",
+    "solve_batch",
     "write_points",
 ]
 
 _CONTENTS = {
     "planeopt.comparison": ("Comparison", "compare"),
     "planeopt.errors": ("InputError",),
-    "planeopt.estimation": ("Combined", "combine", "solve"),
+    "planeopt.estimation": ("BatchSolution", "Combined", "combine", "solve", "solve_batch"),
     "planeopt.formulations": (
         "AsPrinted",
         "ClosedForm",

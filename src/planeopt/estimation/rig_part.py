@@ -68,26 +68,62 @@ def sensitivity(problem: Problem, rig: Rig, plane: Array) -> Sensitivity:
     if problem.pixels is None or problem.noise is None:
         raise ValueError("the rig's part needs boundary points in pixels")
     nominal = np.array([rig.parameter(name) for name in PARAMETERS])
-    choice = _choice(() if rig.covariance is None else rig.covariance.parameters)
+    choice = free_parameters(rig)
     normalised = np.asarray(rig.camera.normalise(problem.pixels)[0])
-    n = len(normalised)
-    noise = np.stack([problem.noise[:, 0, 0], problem.noise[:, 0, 1], problem.noise[:, 1, 1]])
-    rows = np.asarray(_point_rows().map(n)(normalised.T, noise, nominal, plane, problem.setup.f))
-    derivative = rows.reshape(3 + len(PARAMETERS), n, order="F").T
-    by_plane, by_rig = derivative[:, :3], derivative[:, 3:] @ choice
+    by_plane, by_all = point_derivatives(rig, normalised, problem.noise, np.broadcast_to(plane, (len(normalised), 3)))
+    by_rig = by_all @ choice
     step = -np.asarray(np.linalg.lstsq(by_plane, by_rig, rcond=None)[0], dtype=float)
     shift_by_rig, normal_by_plane, normal_by_rig = (np.asarray(m) for m in _outputs()(plane, nominal))
     along_beam = step.copy()
     along_beam[0] -= (shift_by_rig @ choice)[0]
     normal = normal_by_plane @ step + normal_by_rig @ choice
-    return Sensitivity(by_rig, along_beam, normal, derivative[:, 3:] @ _choice(SEEN))
+    return Sensitivity(by_rig, along_beam, normal, by_all @ _choice(SEEN))
+
+
+def point_derivatives(rig: Rig, normalised: Array, noise: Array, planes: Array) -> tuple[Array, Array]:
+    """Derivatives of points' whitened distances by their planes and by the rig, raw pixels held fixed.
+
+    Parameters
+    ----------
+    rig : Rig
+    normalised : (N, 2)
+        The points' rays in the camera frame, from `Camera.normalise`.
+    noise : (N, 2, 2)
+        Their covariances on the laser-parallel image plane, mm^2.
+    planes : (N, 3)
+        ``(z_L, p, q)`` in the equations' sense: each point's own.
+
+    Returns
+    -------
+    by_plane : (N, 3)
+    by_rig : (N, 14)
+        By `PARAMETERS`.
+    """
+    n = len(normalised)
+    nominal = np.array([rig.parameter(name) for name in PARAMETERS])
+    covariances = np.stack([noise[:, 0, 0], noise[:, 0, 1], noise[:, 1, 1]])
+    rows = np.asarray(_point_rows().map(n)(normalised.T, covariances, nominal, planes.T, rig.focal_length))
+    derivative = rows.reshape(3 + len(PARAMETERS), n, order="F").T
+    return derivative[:, :3], derivative[:, 3:]
+
+
+def axial_shift_by_rig(rig: Rig) -> Array:
+    """Derivative (n,) of ``(Q e)_z`` by the free parameters of the rig's covariance."""
+    nominal = np.array([rig.parameter(name) for name in PARAMETERS])
+    by_all = np.asarray(_outputs()(np.zeros(3), nominal)[0])
+    return (by_all @ free_parameters(rig))[0]
+
+
+def free_parameters(rig: Rig) -> Array:
+    """Matrix (14, n) that spreads the free parameters of the rig's covariance over `PARAMETERS`."""
+    return _choice(() if rig.covariance is None else rig.covariance.parameters)
 
 
 def normal_by_rig(rig: Rig, plane: Array, plane_by_rig: Array) -> Array:
     """Derivative (3, n) of the unit normal in the camera frame, given that (3, n) of the plane ``(z_L, p, q)``."""
     nominal = np.array([rig.parameter(name) for name in PARAMETERS])
     _, by_plane, by_rig = (np.asarray(m) for m in _outputs()(plane, nominal))
-    return by_plane @ plane_by_rig + by_rig @ _choice(() if rig.covariance is None else rig.covariance.parameters)
+    return by_plane @ plane_by_rig + by_rig @ free_parameters(rig)
 
 
 def _choice(names: tuple[str, ...]) -> Array:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from planeopt import equations as eq
 from planeopt.estimation import evidence, starts
+from planeopt.estimation.reservations import reservations
 from planeopt.estimation.rig_part import sensitivity
 from planeopt.formulations import (
     Constrained,
@@ -28,12 +29,6 @@ from planeopt.solvers.kkt import NoCovariance, plane_covariance
 from planeopt.spot import Spot
 
 Array = NDArray[np.float64]
-
-# Beyond these a first-order interval is too short: the image's dependence on the slopes is no longer linear over a
-# standard deviation (docs/model.md, section 9); R, alpha and beta leave the linear regime earlier than the slopes.
-WEAK_SLOPE_SIGMA = 0.2
-NONLINEAR_ANGLE_SHARE = 0.1
-SHORT_ARC = 1 / 3
 
 
 def solve(
@@ -227,7 +222,9 @@ def _judged(solution: Solution, problem: Problem, plane: Array, covariance: Arra
             message = f"{Status.LOCAL_MINIMUM.value} ({np.sqrt(excess):.0f} of its standard deviations)"
             return _refused(solution, Status.LOCAL_MINIMUM, message)
     status, message = _verdict(problem, judged, plane, fit, missing)
-    return replace(judged, status=status, message=message, flags=(*judged.flags, *_reservations(problem, judged, fit)))
+    return replace(
+        judged, status=status, message=message, flags=(*judged.flags, *_reservations(problem, judged, plane, fit))
+    )
 
 
 def _verdict(
@@ -257,20 +254,8 @@ _AT_FAULT = float(scipy.stats.norm.isf(evidence.IMPROBABLE / 2 / len(eq.IMAGE_BL
 """Standard deviations that none of the five residuals of right data reaches more often than once in a million."""
 
 
-def _reservations(problem: Problem, solution: Solution, fit: evidence.Fit) -> list[Flag]:
-    flags = []
-    pose = solution.pose
-    if pose is not None and pose.beta is None:
-        flags.append(Flag.BETA_UNDEFINED)
-    covariance = solution.covariance
-    if covariance is not None and pose is not None:
-        slope_sigma = float(np.sqrt(np.max(np.linalg.eigvalsh(covariance[1:, 1:]))))
-        if slope_sigma > WEAK_SLOPE_SIGMA:
-            flags.append(Flag.WEAK)
-        elif pose.beta is not None and slope_sigma > NONLINEAR_ANGLE_SHARE * np.tan(pose.alpha):
-            flags.append(Flag.ANGLES_NONLINEAR)
-    if problem.arc is not None and problem.arc < SHORT_ARC:
-        flags.append(Flag.SHORT_ARC)
-    if fit.chi2_points is not None and scipy.stats.chi2.sf(fit.chi2_points, fit.dof_points) < evidence.IMPROBABLE:
-        flags.append(Flag.POINTS_SCATTER)
-    return flags
+def _reservations(problem: Problem, solution: Solution, plane: Array, fit: evidence.Fit) -> tuple[Flag, ...]:
+    covariance = np.full((3, 3), np.nan) if solution.covariance is None else solution.covariance
+    arc, chi2_points = (np.nan if value is None else value for value in (problem.arc, fit.chi2_points))
+    dof_points = np.array([fit.dof_points or 0])
+    return reservations(plane[None], covariance[None], np.array([arc]), np.array([chi2_points]), dof_points)[0]
