@@ -16,17 +16,17 @@ Array = NDArray[np.float64]
 _STEP = 0.05
 
 
-def laplace_of(target: Target, problem: Problem, peak: Peak) -> Laplace | None:
+def laplace_of(target: Target, problem: Problem, peak: Peak | None) -> Laplace | None:
     """Normal law of ``(z_L, p, q)``, z_L along the beam; None where the likelihood has no peak inside.
 
     Parameters
     ----------
     target : Target
     problem : Problem
-    peak : Peak
+    peak : Peak or None
         Of the log likelihood, in the target's coordinates.
     """
-    if not peak.curved:
+    if peak is None or not peak.curved:
         return None
     plane = target.planes(peak.centre[None])[0]
     scale = np.diag([plane[0], 1.0, 1.0])

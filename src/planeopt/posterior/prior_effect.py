@@ -49,10 +49,10 @@ def prior_effect(target: Target, draws: Array, log_candidates: Array, outside: N
         for name, values in (("z_L", draws[:, 0]), ("p", draws[:, 1]), ("q", draws[:, 2]), ("alpha", tilt))
     }
     name = max(shifts, key=lambda key: shifts[key])
-    size = f"the median of {name} by {100 * shifts[name]:.0f} % of half its 68 % interval"
+    size = f"{math.ceil(100 * shifts[name] + 1e-9)} % of half its 68 % interval"
     if shifts[name] > MOVED:
-        return PriorEffect(True, f"Prior-dominated: the prior moves {size}.")
-    return PriorEffect(False, f"The points decide: the prior moves no median by more than {size.split(' by ')[1]}.")
+        return PriorEffect(True, f"Prior-dominated: the prior moves the median of {name} by {size}.")
+    return PriorEffect(False, f"The points decide: the prior moves no median by more than {size}.")
 
 
 def _shift(values: Array, weights: Array) -> float:

@@ -1,7 +1,7 @@
 """The posterior as it stands in a pose record, under the key `posterior`: plain JSON values, every key always there.
 
-mm and degrees, as the names say; null stands for what has no value: `beta_deg` where its posterior is nearly the full
-circle, an intercept whose 95 % interval passes through infinity.
+mm and degrees, as the names say; null stands for what has no value: `beta_deg` where the plane may well be untilted, an
+intercept whose 95 % interval passes through infinity.
 """
 
 import math

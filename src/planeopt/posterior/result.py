@@ -19,6 +19,7 @@ from planeopt.posterior.summary import (
     cone,
     intercept_interval,
     interval,
+    may_be_untilted,
     variance_split,
 )
 
@@ -126,8 +127,8 @@ class Posterior:
         Returns
         -------
         Interval or None
-            None for ``beta`` where its posterior is nearly the full circle, and for an intercept whose 95 % interval
-            passes through infinity.
+            None for ``beta`` where the plane may well be untilted (0 lies in the slopes' 99 % region), and for an
+            intercept whose 95 % interval passes through infinity.
 
         Raises
         ------
@@ -136,7 +137,7 @@ class Posterior:
         """
         draws = self.quantities[name]
         if name == "beta":
-            return circular_interval(draws)
+            return None if may_be_untilted(self.samples[:, 1:]) else circular_interval(draws)
         return intercept_interval(draws) if name in _INTERCEPTS else interval(draws)
 
     @property

@@ -124,7 +124,7 @@ def sample_problem(
     log_likelihood = target.log_likelihood(candidates)
     log_prior = _checked(target.log_prior(candidates))
     log_weights = -mixture.log_density(candidates)
-    _refuse_excluded(target, peaks[0], log_likelihood, log_prior)
+    _refuse_excluded(target, peaks, log_likelihood, log_prior)
     start = _walkers(target, candidates, log_likelihood + log_prior + log_weights, peaks[0], state)
     run = chain.run(target, mixture, start, state, draws=draws, budget=budget, progress=progress)
 
@@ -135,28 +135,37 @@ def sample_problem(
     if log_scale is not None:
         values["noise_scale"] = np.exp(log_scale)
     samples = np.stack([values["z_L"], values["p"], values["q"]], axis=1)
-    laplace = laplace_of(target, problem, peaks[0])
-    outside = ~np.isfinite(log_prior)
+    modes = _modes(target, planes, samples, run.diagnostics.ess)
+    # Of two modes the heavier is compared: which of them it is, is the prior's to say.
+    mine, near = target.lit(planes) == modes[0].lit_side, target.lit(target.planes(candidates)) == modes[0].lit_side
+    laplace = laplace_of(
+        target, problem, next((peak for peak in peaks if _lit(target, peak) == modes[0].lit_side), None)
+    )
     return Posterior(
         samples=samples,
         rig_samples=rig_samples,
         rig_parameters=names,
         quantities=values,
         laplace=laplace,
-        agreement_with_laplace=compare(laplace, samples, run.diagnostics.ess),
+        agreement_with_laplace=compare(laplace, samples[mine], run.diagnostics.ess * modes[0].weight),
         diagnostics=run.diagnostics,
         prior=prior,
         prior_sentence=prior.sentence(problem.setup.r),
-        prior_effect=prior_effect(target, run.draws, log_likelihood + log_weights, outside),
+        prior_effect=prior_effect(
+            target, run.draws[mine], (log_likelihood + log_weights)[near], ~np.isfinite(log_prior[near])
+        ),
         scale=likelihood.scale,
         robust=likelihood.robust,
-        modes=_modes(target, planes, samples, run.diagnostics.ess),
+        modes=modes,
         flags=problem.flags,
     )
 
 
 def _peaks(target: Target, problem: Problem, state: np.random.RandomState) -> tuple[Peak, ...]:
-    """Tops of the likelihood, the highest first: from the solved plane, from the best of many draws, and mirrored."""
+    """Tops of the likelihood: from the solved plane, from the best of many draws, and mirrored.
+
+    The first is the one that the posterior favours, where the prior allows any of them.
+    """
     starts: list[tuple[Array, Array]] = []
     guess = _GUESS * np.eye(target.dimension)
     solution = solve_problem(problem)
@@ -188,7 +197,13 @@ def _peaks(target: Target, problem: Problem, state: np.random.RandomState) -> tu
         apart = all(np.linalg.norm(np.linalg.solve(other.root, peak.centre - other.centre)) > 1 for other in kept)
         if apart and peak.height > found[0].height - _BEYOND:
             kept.append(peak)
-    return tuple(kept)
+    log_prior = _checked(target.log_prior(np.stack([peak.centre for peak in kept])))
+    order = np.argsort(-(log_prior + [peak.height for peak in kept]), kind="stable")
+    return tuple(kept[i] for i in order)
+
+
+def _lit(target: Target, peak: Peak) -> bool:
+    return bool(target.lit(target.planes(peak.centre[None]))[0])
 
 
 def _theta(target: Target, plane: Array) -> Array:
@@ -201,9 +216,10 @@ def _checked(log_prior: Array) -> Array:
     return log_prior
 
 
-def _refuse_excluded(target: Target, peak: Peak, log_likelihood: Array, log_prior: Array) -> None:
+def _refuse_excluded(target: Target, peaks: tuple[Peak, ...], log_likelihood: Array, log_prior: Array) -> None:
     """Say it where no draw that the prior allows is anywhere near what the spot says."""
     allowed = np.isfinite(log_prior)
+    peak = max(peaks, key=lambda peak: peak.height)
     if allowed.any() and np.max(log_likelihood[allowed]) > peak.height - _BEYOND:
         return
     z_L, p, q = target.planes(peak.centre[None])[0].tolist()
@@ -226,8 +242,7 @@ def _walkers(target: Target, candidates: Array, log_weights: Array, peak: Peak, 
 
 
 def _modes(target: Target, planes: Array, samples: Array, ess: float) -> tuple[Mode, ...]:
-    setup = target.likelihood.setup
-    lit = planes[:, 0] - planes[:, 1] * setup.e_x - planes[:, 2] * setup.e_y > 0
+    lit = target.lit(planes)
     found = []
     for side in (True, False):
         mine = lit == side

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-FULL_CIRCLE = math.radians(300.0)
-"""A direction whose 95 % interval is wider than this means nothing: of a uniform one it is 342 deg."""
+UNTILTED = 0.99
+"""Where the untilted plane lies in this region of the slopes' posterior, every direction of tilt is possible."""
 
 _LEVELS = np.array([0.5, 0.16, 0.84, 0.025, 0.975])
 
@@ -33,17 +33,23 @@ def interval(draws: Array) -> Interval:
     return Interval(*np.quantile(draws, _LEVELS).tolist())
 
 
-def circular_interval(angles: Array) -> Interval | None:
-    """Of a direction, rad: as on a line that is cut opposite to the mean direction; None where it is undefined.
-
-    It is undefined where its 95 % interval is wider than `FULL_CIRCLE`.
-    """
+def circular_interval(angles: Array) -> Interval:
+    """Of a direction, rad: as on a line that is cut opposite to the mean direction."""
     mean = math.atan2(float(np.mean(np.sin(angles))), float(np.mean(np.cos(angles))))
     around = interval(np.remainder(angles - mean + math.pi, math.tau) - math.pi)
-    if around.high95 - around.low95 > FULL_CIRCLE:
-        return None
     ends = (around.median, around.low68, around.high68, around.low95, around.high95)
     return Interval(*(_half_open(mean + end) for end in ends))
+
+
+def may_be_untilted(slopes: Array) -> bool:
+    """Whether slopes (S, 2) = 0 lies in the region, an ellipse about their mean, that holds 99 % of them.
+
+    The direction of tilt is then undefined: its posterior goes all the way round.
+    """
+    centre = np.mean(slopes, axis=0)
+    root = np.linalg.cholesky(np.cov(slopes, rowvar=False) + np.finfo(float).tiny * np.eye(2))
+    far = np.linalg.norm(np.linalg.solve(root, (slopes - centre).T), axis=0)
+    return bool(np.linalg.norm(np.linalg.solve(root, centre)) <= np.quantile(far, UNTILTED))
 
 
 def intercept_interval(draws: Array) -> Interval | None:

@@ -63,6 +63,11 @@ class Target:
         """Log posterior (W,), up to a constant."""
         return self.log_likelihood(theta) + self.log_prior(theta)
 
+    def lit(self, planes: Array) -> NDArray[np.bool_]:
+        """Whether the camera sees the side of each plane (W, 3) that the laser lights, c > 0."""
+        setup = self.likelihood.setup
+        return planes[:, 0] - planes[:, 1] * setup.e_x - planes[:, 2] * setup.e_y > 0
+
     def mirrored(self, theta: Array) -> tuple[Array, Array]:
         """The second plane with the same image, and the log of the map's Jacobian determinant.
 
