@@ -10,7 +10,7 @@ from cases import Array, boundary, circle
 from example_rig import example_rig, pose_at, seen
 from planeopt import equations as eq
 from planeopt.errors import InputError
-from planeopt.estimation import solve
+from planeopt.estimation import solve, solve_batch
 from planeopt.estimation.combine import Agreement, Combined, combine
 from planeopt.estimation.weighted_squares import weighted_chi2_sf
 from planeopt.formulations import AsPrinted
@@ -247,6 +247,19 @@ def test_what_has_no_plane_is_left_out_and_said(solutions: list[Solution], rig: 
         combine([refused], rig)
     with pytest.raises(InputError, match="none of the 0 frames"):
         combine([], rig)
+
+
+def test_a_batch_combines_as_its_frames_do(rig: Rig) -> None:
+    """To the batch's own agreement with single solves, 1e-3 standard deviations of a frame."""
+    pixels = outline(rig, rig.plane_from_pose(pose_at()))
+    rng = np.random.default_rng(6)
+    spots = [Spot(pixels + rng.normal(0, NOISE, pixels.shape), np.full(N_POINTS, NOISE)) for _ in range(4)]
+    together = combine(solve_batch(spots, rig), rig)
+    alone = combine([solve(spot, rig) for spot in spots], rig)
+    assert together.pose.z_L == pytest.approx(alone.pose.z_L, abs=1e-3 * alone.sigma_spot.z_L)
+    assert together.n_frames == 4
+    assert together.chi2 == pytest.approx(alone.chi2, rel=1e-2)
+    np.testing.assert_allclose(together.uncertainty.rig, alone.uncertainty.rig, rtol=1e-2)
 
 
 def test_without_a_rig_covariance_all_is_the_spots(rig: Rig) -> None:

@@ -9,7 +9,7 @@ import scipy.stats
 from cases import Array
 from example_rig import pose_at
 from planeopt.errors import InputError
-from planeopt.estimation import solve
+from planeopt.estimation import solve, solve_batch
 from planeopt.estimation.drift import BLIND, Part, State, drift
 from planeopt.formulations import AsPrinted
 from planeopt.plane import Plane, SpotPose
@@ -212,6 +212,15 @@ def test_one_image_is_tested_as_by_itself(solutions: list[Solution], rig: Rig) -
     assert [(test.part, test.dof) for test in result.tests] == [(Part.POOLED, 2)]
     assert result.p_value == pytest.approx(solutions[0].p_value, rel=1e-9)
     assert result.shift == result.trend == ()
+
+
+def test_a_batch_is_tested_as_its_images_are(rig: Rig) -> None:
+    rng = np.random.default_rng(8)
+    pixels = [outline(rig, plane) for plane in planes(rig)]
+    spots = [Spot(xy + rng.normal(0, NOISE, xy.shape), np.full(len(xy), NOISE)) for xy in pixels]
+    together, alone = drift(solve_batch(spots, rig), rig), drift([solve(spot, rig) for spot in spots], rig)
+    assert together.chi2 == pytest.approx(alone.chi2, rel=0.05)
+    assert together.verdict[:3] == alone.verdict[:3] == "OK:"
 
 
 def test_an_estimated_scale_keeps_its_p_value(rig: Rig) -> None:

@@ -11,7 +11,7 @@ times the spot's, the squared error over its covariance was 4 times what it shou
 and whatever the ``A_i`` differ by is in the covariances only.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -115,13 +115,14 @@ class Combined:
         return sigmas(self.pose, self.uncertainty.spot, self.uncertainty.normal_spot, self.radius)
 
 
-def combine(solutions: Sequence[Solution], rig: Rig, *, without_outliers: bool = False) -> Combined:
+def combine(solutions: Iterable[Solution], rig: Rig, *, without_outliers: bool = False) -> Combined:
     """Combine frames of one plane, taken with camera and plane still.
 
     Parameters
     ----------
-    solutions : sequence of Solution
-        Solved with this rig. Refused frames, and those without a covariance, are left out, and named.
+    solutions : iterable of Solution
+        Solved with this rig; a `BatchSolution` will do. Refused frames, and those without a covariance, are left out,
+        and named.
     rig : Rig
         Whose covariance, if it has one, is the error that all frames share.
     without_outliers : bool
@@ -179,7 +180,7 @@ class _Frames:
         return _Frames(self.index[rows], self.plane[rows], self.spot[rows], self.by_rig[rows])
 
 
-def _frames(solutions: Sequence[Solution], rig: Rig) -> tuple[_Frames, list[tuple[int, str]]]:
+def _frames(solutions: Iterable[Solution], rig: Rig) -> tuple[_Frames, list[tuple[int, str]]]:
     n_free = 0 if rig.covariance is None else len(rig.covariance.parameters)
     rows, left_out = [], []
     for index, solution in enumerate(solutions):

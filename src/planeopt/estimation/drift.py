@@ -13,7 +13,7 @@ degrees of freedom. That is split into three parts, independent where the rig is
 Of the beam, images see four numbers: its vanishing point, and its offset over its radius (two components).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -139,13 +139,13 @@ class Drift:
         return self.tests[0].p_value if self.tests else None
 
 
-def drift(solutions: Sequence[Solution], rig: Rig, *, positions: ArrayLike | None = None) -> Drift:
+def drift(solutions: Iterable[Solution], rig: Rig, *, positions: ArrayLike | None = None) -> Drift:
     """Test a rig with images of whatever planes.
 
     Parameters
     ----------
-    solutions : sequence of Solution
-        Solved with this rig. What is refused, or has no noise scale, is left out.
+    solutions : iterable of Solution
+        Solved with this rig; a `BatchSolution` will do. What is refused, or has no noise scale, is left out.
     rig : Rig
     positions : (n,), optional
         When, or where in a sequence, each image was taken: for the trend. Their order unless given.
@@ -159,18 +159,19 @@ def drift(solutions: Sequence[Solution], rig: Rig, *, positions: ArrayLike | Non
     InputError
         If the positions are not one finite number for each solution.
     """
-    along = np.arange(len(solutions), dtype=float) if positions is None else np.asarray(positions, dtype=float)
-    if along.shape != (len(solutions),) or not np.isfinite(along).all():
-        raise InputError(f"positions must be {len(solutions)} finite numbers, one for each image")
+    given = list(solutions)
+    along = np.arange(len(given), dtype=float) if positions is None else np.asarray(positions, dtype=float)
+    if along.shape != (len(given),) or not np.isfinite(along).all():
+        raise InputError(f"positions must be {len(given)} finite numbers, one for each image")
     usable, left_out = [], []
-    for index, solution in enumerate(solutions):
+    for index, solution in enumerate(given):
         if solution.rig_test is None or solution.p_value is None or solution.status.record == "refused":
             left_out.append((index, solution.message))
         else:
             usable.append(index)
     if not usable:
         return Drift(State.UNTESTED, _untested(left_out), (), (), (), (), tuple(left_out), ())
-    used = [solutions[index] for index in usable]
+    used = [given[index] for index in usable]
     evidence = _Evidence.of(used, rig, along[usable])
     tests = evidence.tests()
     shift, trend = evidence.changes(rig)
