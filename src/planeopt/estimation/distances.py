@@ -98,6 +98,17 @@ class Boundary:
             self.weight[rows] if self.weight.ndim > 1 else self.weight,
         )
 
+    def for_several_planes(self) -> "Boundary":
+        """The same with an axis before that of the points, for several planes to each row."""
+        return Boundary(
+            self.origin[..., None, :],
+            self.unit[..., None],
+            self.monomials[..., None, :, :],
+            _with_axis(self.covariance),
+            _with_axis(self.precision),
+            self.weight[..., None, :] if self.weight.ndim > 1 else self.weight,
+        )
+
     @property
     def x(self) -> Array:
         """Local coordinate, (..., N)."""
@@ -111,6 +122,11 @@ class Boundary:
 
 def _some(parts: tuple[Array, Array, Array], rows: Any) -> tuple[Array, Array, Array]:
     first, second, third = (part[rows] if part.ndim > 1 else part for part in parts)
+    return first, second, third
+
+
+def _with_axis(parts: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    first, second, third = (part[..., None, :] if part.ndim > 1 else part for part in parts)
     return first, second, third
 
 

@@ -3,13 +3,14 @@
 from dataclasses import dataclass, fields
 
 import numpy as np
+import scipy.stats
 from numpy.typing import ArrayLike, NDArray
 
 from planeopt import equations as eq
 from planeopt.estimation import evidence
 from planeopt.estimation.descent import Descent, Loss, at_planes, descend, within_bounds
 from planeopt.estimation.distances import Boundary
-from planeopt.estimation.sets import Sets, closed_form_planes, shrunk_planes, untilted_planes
+from planeopt.estimation.sets import Sets, Starts, closed_form_starts, direct_planes, untilted_planes
 from planeopt.formulations.bounds import FARTHEST, STEEPEST
 from planeopt.solution import Status
 
@@ -184,27 +185,37 @@ def _solve_piece(given: Sets) -> PointsSolution:
     if not len(rows):
         return found
     given = given.floored()
-    first, straight = closed_form_planes(given)
-    if np.any(straight):
-        kept = np.flatnonzero(~straight)
-        rows, first, given = rows[kept], first[kept], given.take(kept).filled()
-        if not len(rows):
-            return found
-    started = within_bounds(given.start, given.setup)
-    best = _solve_from(np.where(started[:, None], given.start, first), given)
-    # A row that got nowhere, or to a plane that does not explain its points, begins again from elsewhere.
-    for elsewhere in (shrunk_planes, untilted_planes):
-        poor = np.flatnonzero(np.isin(best.codes, _POOR))
-        if not len(poor):
-            break
-        part = given.take(poor).filled()
-        other = _solve_from(elsewhere(part), part)
-        reached = ~np.isin(other.codes, _NOWHERE)
-        nearer = other.cost * other.scale**2 < best.cost[poor] * best.scale[poor] ** 2 * (1 - 1e-9)
-        better = np.flatnonzero(reached & (np.isin(best.codes[poor], _NOWHERE) | nearer))
-        _put(best, poor[better], _rows(other, better))
+    starts = closed_form_starts(given)
+    kept = np.flatnonzero(~starts.straight)
+    if len(kept) < len(rows):
+        rows, given = rows[kept], given.take(kept).filled()
+        starts = Starts(starts.planes[kept], starts.sure[kept], starts.straight[kept])
+    if not len(rows):
+        return found
+    told = within_bounds(given.start, given.setup)
+    best = _solve_from(np.where(told[:, None], given.start, starts.planes), given)
+    # Which may be a local minimum: the others are looked for.
+    doubtful = np.flatnonzero(~(starts.sure | told) | np.isin(best.codes, _POOR) | _scattered(best, given))
+    if len(doubtful):
+        part = given.take(doubtful).filled()
+        for other in (direct_planes(part), untilted_planes(part), starts.planes[doubtful]):
+            _keep_nearer(best, doubtful, _solve_from(other, part))
     _put(found, rows, best)
     return found
+
+
+def _scattered(solution: PointsSolution, given: Sets) -> Bools:
+    """Where the points scatter about the plane's ellipse by more than their given noise."""
+    excess = scipy.stats.chi2.sf(solution.cost, np.maximum(solution.counts - 3, 1)) < evidence.IMPROBABLE
+    return given.known & excess & (given.robust is None)
+
+
+def _keep_nearer(best: PointsSolution, rows: NDArray[np.intp], other: PointsSolution) -> None:
+    """Write those of the other answers to some rows that are nearer to the points than the best so far."""
+    reached = ~np.isin(other.codes, _NOWHERE)
+    nearer = other.cost * other.scale**2 < best.cost[rows] * best.scale[rows] ** 2 * (1 - 1e-9)
+    better = np.flatnonzero(reached & (np.isin(best.codes[rows], _NOWHERE) | nearer))
+    _put(best, rows[better], _rows(other, better))
 
 
 def _code(status: Status) -> int:

@@ -29,6 +29,9 @@ _UNUSABLE = (Verdict.NOT_FINITE, Verdict.BAD_NOISE, Verdict.TOO_FEW, Verdict.LIN
 # Of `taubin`'s spread: below it a family of conics passes through the points, to rounding far from the origin.
 _UNDETERMINED = 1e-10
 
+# Tried for an untilted plane.
+_DEPTHS = 16
+
 
 @dataclass(frozen=True, eq=False)
 class Sets:
@@ -135,8 +138,27 @@ class Sets:
         return np.einsum("mni,mni->m", self.points, self.points) / n - np.einsum("mi,mi->m", mean, mean)
 
 
-def closed_form_planes(given: Sets) -> tuple[Array, Bools]:
-    """Closed form of Taubin's ellipse through some of each row's points, and which rows' points lie on lines."""
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """Where searches begin.
+
+    Attributes
+    ----------
+    planes : (M, 3)
+        Within the bounds.
+    sure : (M,) of bool
+        Whether they are the closed form of a sound ellipse; others may lead to a local minimum.
+    straight : (M,) of bool
+        Whether the points lie on lines: there is nothing to search.
+    """
+
+    planes: Array
+    sure: Bools
+    straight: Bools
+
+
+def closed_form_starts(given: Sets) -> Starts:
+    """Closed form of Taubin's ellipse through some of each row's points."""
     m, n = given.points.shape[:2]
     points, noise = given.points, given.noise
     if n > START_POINTS:
@@ -147,38 +169,45 @@ def closed_form_planes(given: Sets) -> tuple[Array, Bools]:
     sample, verdict, _ = prepare(points, noise)
     theta, spread = taubin(sample)
     local = scaled(theta)
-    lost = (verdict != Verdict.OK) | ~is_ellipse(local) | ~(spread > _UNDETERMINED)
-    lost |= line_explains(sample, local, scale_unknown=False)
-    with np.errstate(all="ignore"):  # what is lost is tried again below
-        planes = _visible_or_untilted(conic_from_local(local, sample.origin, sample.unit), given)
+    sound = (verdict == Verdict.OK) & is_ellipse(local) & (spread > _UNDETERMINED)
+    sound &= ~line_explains(sample, local, scale_unknown=False)
+    with np.errstate(all="ignore"):  # what is unsound is tried again below
+        planes = solve_both(conic_from_local(local, sample.origin, sample.unit), given.setup).visible
+    sure = sound & within_bounds(planes, given.setup)
     straight = np.zeros(m, dtype=bool)
-    again = np.flatnonzero(lost)
-    if len(again):
-        planes[again], straight[again] = _direct_planes(given.take(again).filled())
-    return planes, straight
+    lost = np.flatnonzero(~sure)
+    if len(lost):
+        planes[lost], straight[lost] = _direct(given.take(lost).filled())
+    return Starts(planes, sure, straight)
 
 
-def _direct_planes(given: Sets) -> tuple[Array, Bools]:
-    """As `closed_form_planes`, from the direct fit to all points: always an ellipse, too small on short arcs."""
+def direct_planes(given: Sets) -> Array:
+    """Closed form (M, 3) of the direct fit to all points: always an ellipse, though too small on short arcs."""
+    return _direct(given)[0]
+
+
+def _direct(given: Sets) -> tuple[Array, Bools]:
+    """`direct_planes`, and which rows' points lie on lines."""
     fit = fit_conic(given.points, given.noise, "direct", check=False)
-    return _visible_or_untilted(fit.B, given), np.isin(fit.verdict, _UNUSABLE)
-
-
-def shrunk_planes(given: Sets) -> Array:
-    """Closed form (M, 3) of the direct fit, another beginning than `closed_form_planes`."""
-    return _direct_planes(given)[0]
-
-
-def _visible_or_untilted(B: NDArray[np.floating], given: Sets) -> Array:
-    """Visible planes (M, 3) of ellipses; where there is none, or it is out of bounds, `untilted_planes`."""
-    planes = solve_both(B, given.setup).visible
+    planes = solve_both(fit.B, given.setup).visible
     good = within_bounds(planes, given.setup)
-    return planes if np.all(good) else np.where(good[:, None], planes, untilted_planes(given))
+    planes = planes if np.all(good) else np.where(good[:, None], planes, untilted_planes(given))
+    return planes, np.isin(fit.verdict, _UNUSABLE)
 
 
 def untilted_planes(given: Sets) -> Array:
-    """Untilted planes (M, 3) whose spot is as large as the points' scatter."""
-    radius = np.sqrt(np.maximum(given.spread2, 0.0))
-    planes = np.zeros((len(radius), 3))
-    planes[:, 0] = np.clip(given.setup.f * given.setup.r / np.maximum(radius, 1e-300), 0, FARTHEST * given.setup.r / 2)
+    """Untilted planes (M, 3), the best of some depths: their images are circles about ``e f/z`` of radius ``r f/z``.
+
+    Points of an arc scatter less than those of the whole ellipse, by as much as ten times.
+    """
+    f, e_x, e_y, r = given.setup
+    x, y = given.points[..., 0], given.points[..., 1]
+    size = np.sqrt(np.maximum(given.spread2, np.finfo(float).tiny))
+    best, planes = np.full(len(size), np.inf), np.zeros((len(size), 3))
+    for share in np.geomspace(0.5, 10.0, _DEPTHS):
+        scale = np.clip(share * size / r, 2 * f / (FARTHEST * r), np.inf)
+        away = np.hypot(x - scale[:, None] * e_x, y - scale[:, None] * e_y) - scale[:, None] * r
+        misfit = np.einsum("mi,mi->m", away, away)
+        better = misfit < best
+        best, planes[:, 0] = np.where(better, misfit, best), np.where(better, f / scale, planes[:, 0])
     return planes
