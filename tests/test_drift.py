@@ -8,6 +8,7 @@ import scipy.stats
 
 from cases import Array
 from example_rig import pose_at
+from frames import NAMES, outline, uncertain_rig
 from planeopt.errors import InputError
 from planeopt.estimation import solve, solve_batch
 from planeopt.estimation.drift import BLIND, Part, State, drift
@@ -15,9 +16,7 @@ from planeopt.formulations import AsPrinted
 from planeopt.plane import Plane, SpotPose
 from planeopt.rig import Rig
 from planeopt.solution import RigTest, Solution
-from planeopt.solvers import Sqp
 from planeopt.spot import Spot
-from test_combine import NAMES, outline, uncertain_rig
 
 NOISE = 0.05
 FAMILY = 0.001
@@ -42,12 +41,11 @@ def planes(rig: Rig, poses: tuple[SpotPose, ...] = POSES) -> list[Plane]:
 
 def seen_by(true: Rig, file: Rig, where: list[Plane], rng: np.random.Generator, n: int = 40) -> list[Solution]:
     """What the rig of the file makes of images that the true rig takes."""
-    solutions = []
+    spots = []
     for plane in where:
         pixels = outline(true, plane, n)
-        spot = Spot(pixels + rng.normal(0, NOISE, pixels.shape), np.full(n, NOISE))
-        solutions.append(solve(spot, file, solver=Sqp()))
-    return solutions
+        spots.append(Spot(pixels + rng.normal(0, NOISE, pixels.shape), np.full(n, NOISE)))
+    return list(solve_batch(spots, file))
 
 
 @pytest.fixture(scope="module")

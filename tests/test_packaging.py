@@ -40,6 +40,7 @@ ROOMS = (
     "accuracy",
     "record",
     "batch",
+    "check",
     "posterior",
     "comparison",
     "simulation",

@@ -10,13 +10,13 @@ import scipy.stats
 
 from cases import Array
 from example_rig import pose_at
+from frames import frames, outline, uncertain_rig
 from planeopt.cli.times import read_times
 from planeopt.errors import InputError
 from planeopt.estimation.sequence import Positions, Sequenced, trends
 from planeopt.plane import SpotPose
 from planeopt.rig import Rig
 from planeopt.solution import Solution
-from test_combine import frames, outline, uncertain_rig
 
 FAMILY = 0.001
 

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from cyclopts import App, CycloptsError
 
 from planeopt import __version__
+from planeopt.cli.check import check
 from planeopt.cli.compare import compare
 from planeopt.cli.demo import demo
 from planeopt.cli.messages import complain
@@ -33,7 +34,7 @@ def build_app() -> App:
         version=__version__,
         suppress_keyboard_interrupt=False,
     )
-    for command in (demo, spot, pose, compare, reproduce, simulate):
+    for command in (demo, check, spot, pose, compare, reproduce, simulate):
         app.command(command)
     return app
 
