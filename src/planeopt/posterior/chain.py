@@ -97,9 +97,13 @@ def run(
     ]
     if target.has_mirror:
         moves.append((InvolutionMove(jump), 0.25))
-    sampler = emcee.EnsembleSampler(
-        start.shape[0], start.shape[1], lambda y: target(to_theta(y)), vectorize=True, moves=moves
-    )
+
+    def log_density(y: Array) -> Array:
+        return target(to_theta(y))
+
+    sampler = emcee.EnsembleSampler(len(start), target.dimension, log_density, vectorize=True, moves=moves)
+    # emcee wraps the function so as to print all parameters when it raises, at a Ctrl-C too: a library does not print.
+    vars(sampler)["log_prob_fn"] = log_density
     at: emcee.State | None = emcee.State(to_units(start), random_state=state.get_state())
     stopped, tau, steps = Stop.BUDGET, np.inf, 0
     try:
