@@ -56,6 +56,10 @@ class Flag(Enum):
         "first-order sigmas of alpha, beta and R are rough."
     )
     WEAK = "The slopes' standard deviation is over 0.2: first-order intervals are too short."
+    BOUND_OUT_OF_REACH = (
+        "The noise is large for the size of this spot's image, or the plane so uncertain that its image is no longer "
+        "linear over it: intervals of first order may be too short; the posterior's are right."
+    )
     SHORT_ARC = "Under a third of the ellipse is covered by points: intervals of first order are rough."
     POINTS_SCATTER = "The points scatter about the plane's ellipse by more than their sigma says (p < 1e-6)."
     RIG_WITHOUT_COVARIANCE = "The rig file has no covariance: sigma is the spot's part only."

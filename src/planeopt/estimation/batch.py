@@ -11,6 +11,8 @@ from planeopt import equations as eq
 from planeopt.conic import arc_fraction, fit_conic
 from planeopt.errors import InputError
 from planeopt.estimation import evidence
+from planeopt.estimation.distances import Boundary
+from planeopt.estimation.efficiency import reach, typical_sigma
 from planeopt.estimation.points import STATUSES, PointsSolution, improbability, solve_points
 from planeopt.estimation.reservations import reservations
 from planeopt.estimation.rig_effect import RigEffect, rig_effect
@@ -24,6 +26,8 @@ Array = NDArray[np.float64]
 
 FORMULATION = "Reprojection"
 SOLVER = "Batch"
+
+_REACH_POINTS = 1 << 12
 
 _UNUSABLE = STATUSES.index(Status.UNUSABLE)
 
@@ -174,7 +178,8 @@ def solve_batch(spots: Sequence[Spot], rig: Rig, *, robust: float | None = None)
     arc = _arcs(found, points, setup)
     chi2_points = np.where((found.scale_dof < 0) & (robust is None), found.cost, np.nan)
     dof_points = np.maximum(found.counts - 3, 0)
-    raised = reservations(along, found.covariance + rig_covariance, arc, chi2_points, dof_points)
+    excess = _excess(found, points, setup)
+    raised = reservations(along, found.covariance + rig_covariance, excess, arc, chi2_points, dof_points)
     return BatchSolution(
         status=status,
         message=tuple(_message(i, status[i], points, chi2[i], p_value[i]) for i in range(len(status))),
@@ -316,6 +321,19 @@ def _of_scale(found: PointsSolution, i: int, rig: Rig) -> Iterator[Flag]:
             yield Flag.SCALE_AT_FLOOR
         if rig.covariance is None:
             yield Flag.RIG_WITHOUT_COVARIANCE
+
+
+def _excess(found: PointsSolution, points: _Points, setup: eq.Setup) -> Array:
+    """`Reach.excess` (M,) of the rows; a few at a time, since each is looked at from six planes about its own."""
+    excess = np.full(len(found), np.nan)
+    known = np.flatnonzero(np.isfinite(found.covariance).all(axis=(1, 2)))
+    longest = points.mm.shape[1]
+    for rows in np.array_split(known, 1 + len(known) * longest // _REACH_POINTS):
+        noise = points.noise[rows] * (found.scale[rows] ** 2)[:, None, None, None]
+        boundary = Boundary.of(points.mm[rows], noise, np.arange(longest) < found.counts[rows, None])
+        sigma = typical_sigma(noise)
+        excess[rows] = reach(setup, found.planes[rows], found.covariance[rows], boundary, sigma).excess
+    return excess
 
 
 def _arcs(found: PointsSolution, points: _Points, setup: eq.Setup) -> Array:

@@ -258,7 +258,7 @@ def feet(conics: Conics, boundary: Boundary, start: Array | None = None, toleran
         m = m + step
         # The step after this one would be about its square.
         height = np.sqrt(steepness) * weight
-        if np.all(np.abs(step) * height <= last * (1 + np.abs(m) * height)):
+        if not np.any(np.abs(step) * height > last * (1 + np.abs(m) * height)):
             break
     _, _, _, _, ux, uy, _, _, steepness = bent(m)
     height = np.sqrt(steepness)

@@ -19,7 +19,12 @@ SHORT_ARC = 1 / 3
 
 
 def reservations(
-    planes: Array, covariance: Array, arc: Array, chi2_points: Array, dof_points: NDArray[np.int64]
+    planes: Array,
+    covariance: Array,
+    reached: Array,
+    arc: Array,
+    chi2_points: Array,
+    dof_points: NDArray[np.int64],
 ) -> list[tuple[Flag, ...]]:
     """Flags of M planes; what is NaN raises none.
 
@@ -29,6 +34,8 @@ def reservations(
         ``(z_L, p, q)``.
     covariance : (M, 3, 3)
         Of the planes, spot and rig together.
+    reached : (M,)
+        `planeopt.estimation.efficiency.Reach.excess`.
     arc : (M,)
         Covered fractions of the ellipses.
     chi2_points : (M,)
@@ -42,6 +49,7 @@ def reservations(
         Flag.BETA_UNDEFINED: flat,
         Flag.WEAK: weak,
         Flag.ANGLES_NONLINEAR: ~weak & ~flat & (slope_sigma > NONLINEAR_ANGLE_SHARE * tangent),
+        Flag.BOUND_OUT_OF_REACH: reached > 1,
         Flag.SHORT_ARC: arc < SHORT_ARC,
         Flag.POINTS_SCATTER: scipy.stats.chi2.sf(chi2_points, np.maximum(dof_points, 1)) < IMPROBABLE,
     }

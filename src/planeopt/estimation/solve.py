@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from planeopt import equations as eq
 from planeopt.estimation import evidence, starts
+from planeopt.estimation.efficiency import within_reach
 from planeopt.estimation.reservations import reservations
 from planeopt.estimation.rig_part import sensitivity
 from planeopt.formulations import (
@@ -257,5 +258,18 @@ _AT_FAULT = float(scipy.stats.norm.isf(evidence.IMPROBABLE / 2 / len(eq.IMAGE_BL
 def _reservations(problem: Problem, solution: Solution, plane: Array, fit: evidence.Fit) -> tuple[Flag, ...]:
     covariance = np.full((3, 3), np.nan) if solution.covariance is None else solution.covariance
     arc, chi2_points = (np.nan if value is None else value for value in (problem.arc, fit.chi2_points))
-    dof_points = np.array([fit.dof_points or 0])
-    return reservations(plane[None], covariance[None], np.array([arc]), np.array([chi2_points]), dof_points)[0]
+    return reservations(
+        plane[None],
+        covariance[None],
+        _excess(problem, solution, plane),
+        np.array([arc]),
+        np.array([chi2_points]),
+        np.array([fit.dof_points or 0]),
+    )[0]
+
+
+def _excess(problem: Problem, solution: Solution, plane: Array) -> Array:
+    """How far beyond reach the bound is, (1,), for the points' noise; NaN where that is not known."""
+    if problem.points is None or problem.noise is None or solution.uncertainty is None:
+        return np.full(1, np.nan)
+    return within_reach(problem, plane, solution.uncertainty.spot).excess
