@@ -231,8 +231,16 @@ def _step(now: _Point, loss: Loss, scale: Array, damping: Array) -> tuple[Array,
     usable = np.asarray(np.isfinite(products).all(axis=(-1, -2)))
     normed = np.where(usable[:, None, None], normed, np.eye(3))
     right = np.where(usable[:, None], gradient / size, np.nan)
-    solved = np.linalg.solve(normed, right[..., None])[..., 0]
+    solved = solve_all(normed, right)
     return -solved / size, np.sum(solved * right, axis=-1)
+
+
+def solve_all(matrices: Array, right: Array) -> Array:
+    """Solutions (M, k) of symmetric systems; of least length where one is singular, which must not cost the others."""
+    try:
+        return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0], dtype=float)
+    except np.linalg.LinAlgError:
+        return np.asarray((np.linalg.pinv(matrices, hermitian=True) @ right[..., None])[..., 0], dtype=float)
 
 
 def within_bounds(planes: Array, setup: eq.Setup) -> NDArray[np.bool_]:

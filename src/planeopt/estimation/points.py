@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from planeopt import equations as eq
 from planeopt.estimation import evidence
-from planeopt.estimation.descent import Descent, Loss, at_planes, descend, within_bounds
+from planeopt.estimation.descent import Descent, Loss, at_planes, descend, solve_all, within_bounds
 from planeopt.estimation.distances import Boundary
 from planeopt.estimation.sets import Sets, Starts, closed_form_starts, direct_planes, untilted_planes
 from planeopt.formulations.bounds import FARTHEST, STEEPEST
@@ -285,7 +285,7 @@ def _explained(information: Array, score: Array) -> Array:
     size = np.sqrt(np.einsum("mii->mi", information))
     normed = _regular(information / (size[:, :, None] * size[:, None, :]))
     right = np.nan_to_num(score / size)
-    return np.sum(np.linalg.solve(normed, right[..., None])[..., 0] * right, axis=-1)
+    return np.sum(solve_all(normed, right) * right, axis=-1)
 
 
 def _inverse(information: Array) -> tuple[Array, Array]:
