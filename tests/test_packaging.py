@@ -80,7 +80,9 @@ def test_wheel_holds_the_package_its_types_and_the_example(wheel: zipfile.ZipFil
     example = {f"planeopt/example/{f.relative_to(folder).as_posix()}" for f in folder.rglob("*") if f.is_file()}
     shipped = {name for name in wheel.namelist() if not name.split("/")[0].endswith(".dist-info")}
     assert any(name.endswith(".png") for name in example)
-    assert shipped == modules | example | {"planeopt/py.typed", "planeopt/simulation/scene.schema.json"}
+    schemas = {"planeopt/simulation/scene.schema.json", "planeopt/report/poses.schema.json"}
+    page = {"planeopt/report/page.css", "planeopt/report/page.html.j2"}
+    assert shipped == modules | example | schemas | page | {"planeopt/py.typed"}
 
 
 def test_wheel_names_its_command_and_carries_its_licence(wheel: zipfile.ZipFile):

@@ -17,6 +17,7 @@ from planeopt.cli.compare import compare
 from planeopt.cli.demo import demo
 from planeopt.cli.messages import complain
 from planeopt.cli.pose import pose
+from planeopt.cli.report import report
 from planeopt.cli.reproduce import reproduce
 from planeopt.cli.simulate import simulate
 from planeopt.cli.spot import spot
@@ -34,7 +35,7 @@ def build_app() -> App:
         version=__version__,
         suppress_keyboard_interrupt=False,
     )
-    for command in (demo, check, spot, pose, compare, reproduce, simulate):
+    for command in (demo, check, spot, pose, report, compare, reproduce, simulate):
         app.command(command)
     return app
 

@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from planeopt.report.content import Picture
-from planeopt.report.style import BAND, DARK, ELLIPSE, LIGHT, page_figure, picture
+from planeopt.report.style import BAND, DARK, ELLIPSE, LIGHT, PAGE_WIDTH, page_figure, picture
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ def trends(places: Sequence[float], along: str, quantities: Sequence[Trend], dou
         Which inputs are degraded.
     """
     x, doubt = np.asarray(places, dtype=np.float64), np.asarray(doubtful)
-    with page_figure(10.0, 1.0 + 1.45 * len(quantities)) as figure:
+    with page_figure(PAGE_WIDTH, 1.0 + 1.45 * len(quantities)) as figure:
         panels: list[Axes] = list(np.atleast_1d(np.asarray(figure.subplots(len(quantities), 1, sharex=True))))
         for axes, trend in zip(panels, quantities, strict=True):
             middle, low, high = (np.asarray(v, dtype=np.float64) for v in (trend.middle, trend.low, trend.high))
@@ -86,7 +86,7 @@ def chi2_figure(numbers: Sequence[int], p_values: Sequence[float]) -> Picture:
     places = np.asarray(numbers)
     values = scipy.stats.chi2.isf(np.clip(p_values, 1e-300, 1.0), DOF)
     top = 1.1 * max(float(values.max()), float(scipy.stats.chi2.ppf(_CRITICAL[1], DOF)))
-    with page_figure(10.0, 3.4) as figure:
+    with page_figure(PAGE_WIDTH, 3.4) as figure:
         each, together = figure.subplots(1, 2, width_ratios=(1.5, 1))
         each.vlines(places, 0, values, color=DARK, lw=1.2)
         each.plot(places, values, "o", color=DARK, ms=5)
@@ -113,7 +113,7 @@ def _quantiles(axes: Axes, places: Array, values: Array) -> None:
     if n > 1:
         axes.fill_between(expected, low, high, color=BAND[1], lw=0, label="95 % of right rigs")
     else:
-        axes.errorbar(expected, expected, [expected - low, high - expected], color="0.6", lw=6, label="95 %")
+        axes.bar(expected, high - low, 0.08 * reach, low, color=BAND[1], label="95 % of right rigs")
     axes.plot([0, reach], [0, reach], color=ELLIPSE, lw=1.1)
     axes.plot(expected, values[order], "o", color=DARK, ms=5)
     if n <= _NAMED:

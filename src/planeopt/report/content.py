@@ -55,13 +55,28 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows under a heading each column; the first `words` columns are words, the others numbers."""
+    """Rows, and a heading for each column.
+
+    Parameters
+    ----------
+    title : str
+    columns : tuple of str
+    rows : tuple of tuple of Cell
+    caption : str
+    words : int
+        How many columns at the left are words; the others are numbers.
+    last_in_words : bool
+        The last column is words too.
+    key : str
+        Names the table.
+    """
 
     title: str
     columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
     caption: str = ""
     words: int = 1
+    last_in_words: bool = False
     key: str = ""
 
 
@@ -93,6 +108,11 @@ class Section:
     title: str
     blocks: tuple[Block, ...]
     tone: Tone = "plain"
+
+    @property
+    def long(self) -> bool:
+        """Whether it deserves pages of its own: it has figures."""
+        return any(isinstance(block, Figure) for block in self.blocks)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,8 @@ LEVELS = (0.68, 0.95)
 _NAMES = ("z_L", "p", "q")
 _FEWEST_FOR_CONTOURS = 300
 _SMOOTHED = 1.0  # bins: the contours, which become 2 % wider; without it 2,000 samples leave them ragged
-_SHOWN = 0.998  # of the samples, at least, between the ends of each axis
+_SHOWN = 0.98  # of the samples, at least, between the ends of each axis, and more by the room beside them
+_ROOM = 0.22  # of that: of a Gaussian the ends are then 3.35 sigma away
 _AROUND = np.linspace(0, 2 * np.pi, 181)
 
 
@@ -40,7 +41,8 @@ def corner_figure(samples: Array, plane: Array | None, covariance: Array | None)
         Axes count from the medians, whose values are in the titles.
     """
     middle = np.median(samples, axis=0)
-    units = [_unit(spread) for spread in np.maximum(np.std(samples, axis=0), 1e-300)]
+    spread = np.maximum(np.diff(np.quantile(samples, [0.16, 0.84], axis=0), axis=0)[0] / 2, 1e-15)
+    units = [_unit(width) for width in spread]
     scale = np.array([unit for unit, _ in units])
     labels = [f"{_math(name)} ({_named(name, power)})" for name, (_, power) in zip(_NAMES, units, strict=True)]
     scaled = (samples - middle) * scale
@@ -68,7 +70,7 @@ def corner_figure(samples: Array, plane: Array | None, covariance: Array | None)
             max_n_ticks=4,
             use_math_text=True,
         )
-        for i, (name, value, decimals) in enumerate(zip(_NAMES, middle, _decimals(samples), strict=True)):
+        for i, (name, value, decimals) in enumerate(zip(_NAMES, middle, _decimals(spread), strict=True)):
             unit = " mm" if name == "z_L" else ""
             axes[i, i].set_title(f"{_math(name)} from {value:.{decimals}f}{unit}", fontsize=9)
             if gauss is not None:
@@ -83,7 +85,7 @@ def corner_figure(samples: Array, plane: Array | None, covariance: Array | None)
                 _ellipses(axes[row, column], *gauss, (column, row))
         handles = [Line2D([], [], color=DARK, lw=1.3, label="posterior, samples; areas of 68 and 95 %")]
         if gauss is not None:
-            handles.append(Line2D([], [], color=ELLIPSE, lw=1.3, ls="--", label="first order; ellipses of the same"))
+            handles.append(Line2D([], [], color=ELLIPSE, lw=1.3, ls="--", label="first order; ellipses of 68 and 95 %"))
         figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.98, 0.93), frameon=False)
         figure.subplots_adjust(left=0.1, right=0.98, bottom=0.075, top=0.96, wspace=0.07, hspace=0.07)
         return picture(figure, "Corner plot of depth and slopes: posterior samples and the first-order Gaussian")
@@ -108,19 +110,19 @@ def _named(name: str, power: int) -> str:
     return "1" if power == 0 else rf"$10^{{{power}}}$"
 
 
-def _decimals(samples: Array) -> list[int]:
-    return [max(0, 2 - math.floor(math.log10(spread))) for spread in np.maximum(np.std(samples, axis=0), 1e-12)]
+def _decimals(spread: Array) -> list[int]:
+    return [min(max(0, 2 - math.floor(math.log10(width))), 12) for width in spread]
 
 
 def _ranges(scaled: Array, gauss: tuple[Array, Array] | None) -> list[tuple[float, float]]:
-    """Ends of the axes: most samples, and the Gaussian's three sigmas where those are not much wider."""
+    """Ends of the axes: most samples, the Gaussian's 2.33 sigmas where those are not much wider, and some room."""
     low, high = np.quantile(scaled, [(1 - _SHOWN) / 2, (1 + _SHOWN) / 2], axis=0)
     if gauss is not None:
-        centre, sigma = gauss[0], np.sqrt(np.diagonal(gauss[1]))
+        reach = scipy.stats.norm.ppf((1 + _SHOWN) / 2) * np.sqrt(np.diagonal(gauss[1]))
         width = high - low
-        low = np.maximum(np.minimum(low, centre - 3 * sigma), low - width)
-        high = np.minimum(np.maximum(high, centre + 3 * sigma), high + width)
-    room = 0.05 * np.maximum(high - low, 1e-12)
+        low = np.maximum(np.minimum(low, gauss[0] - reach), low - width)
+        high = np.minimum(np.maximum(high, gauss[0] + reach), high + width)
+    room = _ROOM * np.maximum(high - low, 1e-12)
     return [(float(a), float(b)) for a, b in zip(low - room, high + room, strict=True)]
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from planeopt.plane import Plane
 from planeopt.report.content import Picture
-from planeopt.report.style import DARK, ELLIPSE, LIGHT, page_figure, picture
+from planeopt.report.style import DARK, ELLIPSE, LIGHT, PAGE_WIDTH, page_figure, picture
 from planeopt.rig import Rig
 from planeopt.solution import Solution
 
@@ -48,9 +48,9 @@ def plane_figure(rig: Rig, solution: Solution) -> Picture | None:
         return None
     beam = rig.require_beam()
     shown = other is not None and 0 < other.pose.z_L < _FAR * pose.z_L
-    with page_figure(10.0, 4.5, constrained=False) as figure:
-        scene: Any = figure.add_axes((-0.03, 0.09, 0.6, 0.88), projection="3d", computed_zorder=False)
-        near: Any = figure.add_axes((0.59, 0.09, 0.38, 0.88), projection="3d", computed_zorder=False)
+    with page_figure(PAGE_WIDTH, 4.1, constrained=False) as figure:
+        scene: Any = figure.add_axes((-0.03, 0.12, 0.6, 0.88), projection="3d", computed_zorder=False)
+        near: Any = figure.add_axes((0.59, 0.12, 0.38, 0.88), projection="3d", computed_zorder=False)
         reach = max(3 * pose.R, 0.16 * pose.z_L)
         drawn = [_square(plane, reach), *([_square(other.plane, 0.8 * reach)] if shown and other is not None else [])]
         end = 1.05 * max(float(np.max(corners[:, 2])) for corners in drawn)
@@ -64,7 +64,7 @@ def plane_figure(rig: Rig, solution: Solution) -> Picture | None:
         _axis(scene, plane, 0.22 * pose.z_L, 6)
         middle = np.array([beam.offset[0] / 2, beam.offset[1] / 2])
         side = max(0.17 * end, 1.3 * reach)
-        _frame(scene, (0.0, end), (middle[0] - side, middle[0] + side), (middle[1] - side, middle[1] + side), zoom=1.24)
+        _frame(scene, (0.0, end), (middle[0] - side, middle[0] + side), (middle[1] - side, middle[1] + side), zoom=1.3)
         scene.view_init(elev=24, azim=-52)
         span = 2.0 * pose.R
         _faces(near, [_square(plane, 0.93 * span)], _PLANE, 0.4, 1, edge=_PLANE)
@@ -78,7 +78,7 @@ def plane_figure(rig: Rig, solution: Solution) -> Picture | None:
             (centre[2] - span, centre[2] + span),
             (centre[0] - span, centre[0] + span),
             (centre[1] - span, centre[1] + span),
-            zoom=0.9,
+            zoom=0.96,
         )
         near.view_init(elev=24, azim=-52)
         _legend(figure, shown=shown, cone=times)
@@ -164,9 +164,11 @@ def _cone(axes: Axes3D, solution: Solution, plane: Plane, length: float) -> floa
     first, second = _directions(plane)
     basis = np.stack([first, second])
     values, vectors = np.linalg.eigh(basis @ covariance @ basis.T)
-    size = np.minimum(np.sqrt(scipy.stats.chi2.ppf(CONE_LEVEL, 2) * np.maximum(values, 0)) * times, 1.5)
-    circle = np.stack([np.cos(_AROUND), np.sin(_AROUND)], axis=1)
-    edge = plane.point + length * (-plane.normal + (np.tan(size) * circle) @ vectors.T @ basis)
+    size = np.minimum(np.sqrt(scipy.stats.chi2.ppf(CONE_LEVEL, 2) * np.maximum(values, 0)) * times, np.pi / 2)
+    away = size * np.stack([np.cos(_AROUND), np.sin(_AROUND)], axis=1)
+    angle = np.linalg.norm(away, axis=1, keepdims=True)
+    sideways = away / np.maximum(angle, 1e-12) @ vectors.T @ basis
+    edge = plane.point + length * (np.sin(angle) * sideways - np.cos(angle) * plane.normal)
     sides = [np.stack([plane.point, edge[i], edge[i + 3]]) for i in range(0, len(edge) - 3, 3)]
     _faces(axes, sides, _NORMAL, 0.22, 4)
     axes.plot(*_placed(edge), color=_NORMAL, lw=0.9, zorder=4)
@@ -192,7 +194,7 @@ def _frame(axes: Any, z: tuple[float, float], x: tuple[float, float], y: tuple[f
     axes.set_box_aspect((z[1] - z[0], x[1] - x[0], y[1] - y[0]), zoom=zoom)
     axes.set_xlabel("z (mm)", labelpad=2 + 4 * (z[1] - z[0]) / (x[1] - x[0]))
     axes.set_ylabel("x (mm)", labelpad=2)
-    axes.set_zlabel("y (mm)", labelpad=0 if z[0] else 5)
+    axes.set_zlabel("y (mm)", labelpad=0 if z[0] else -4)
     axes.tick_params(pad=1, labelsize=8)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))

@@ -12,7 +12,7 @@ from planeopt.report.content import Picture
 from planeopt.report.pixels import Window, show
 from planeopt.report.pose_fit import PoseFit
 from planeopt.report.spot_judged import Judged
-from planeopt.report.style import BAND, DARK, ELLIPSE, drawable, page_figure, picture
+from planeopt.report.style import BAND, DARK, ELLIPSE, PAGE_WIDTH, drawable, page_figure, picture
 from planeopt.spot import Spot
 
 _BINS = 36  # of the angle, for the running mean
@@ -39,14 +39,14 @@ def overlay(
     """
     window = bounds(np.vstack([spot.points, *([] if judged is None else [judged.curve])])).around(MARGIN)
     ellipse = "expected from the plane" if posed else "fitted ellipse"
-    with page_figure(10.0, 3.6) as figure:
-        whole, near, hairs = figure.subplots(1, 3, width_ratios=(1.05, 1.2, 1.2))
+    with page_figure(PAGE_WIDTH, 3.6) as figure:
         if image is None:
-            _no_image(whole)
+            near, hairs = figure.subplots(1, 2)
             draw_points(near, spot, judged, 1, size=3.0, edge=0.4, ellipse=ellipse)
             _frame(near, window)
             near.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
         else:
+            whole, near, hairs = figure.subplots(1, 3, width_ratios=(1.05, 1.2, 1.2))
             show(whole, image)
             whole.plot(*_outline(window).T, color=ELLIPSE, lw=1.4)
             whole.set(title=f"the image, {image.shape[1]} x {image.shape[0]} px", xlabel="x (px)", ylabel="y (px)")
@@ -65,7 +65,7 @@ def residuals(spot: Spot, fit: PoseFit) -> Picture:
     order = np.argsort(fit.judged.angles)
     angles, whitened = fit.judged.angles[order], fit.whitened[order]
     reach = max(3.3, 1.08 * float(np.max(np.abs(whitened))))
-    with page_figure(10.0, 2.7) as figure:
+    with page_figure(PAGE_WIDTH, 2.7) as figure:
         around, spread = figure.subplots(1, 2, width_ratios=(4.2, 1), sharey=True)
         for times, shade in zip((2, 1), BAND, strict=True):
             around.axhspan(-times, times, color=shade, lw=0, label=rf"$\pm${times} $\sigma$")
@@ -100,11 +100,6 @@ def _running_mean(angles: NDArray[np.float64], values: NDArray[np.float64]) -> t
     counts = np.bincount(places, minlength=_BINS)
     means = np.bincount(places, weights=values, minlength=_BINS) / np.maximum(counts, 1)
     return (np.arange(_BINS) + 0.5) * 360 / _BINS, np.where(counts >= _PER_BIN, means, np.nan)
-
-
-def _no_image(axes: Axes) -> None:
-    axes.set_axis_off()
-    axes.text(0.5, 0.5, "The input is a file of\nboundary points.", ha="center", va="center", transform=axes.transAxes)
 
 
 def _frame(axes: Axes, window: Window) -> None:

@@ -6,6 +6,8 @@ from io import BytesIO
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -28,6 +30,7 @@ _LOOK: dict[Any, Any] = {
     "grid.linewidth": 0.6,
     "lines.solid_capstyle": "round",
 }
+PAGE_WIDTH = 10.0  # inches: a figure as wide as the page
 _PAGE_SIZE = 9.0  # pt, at the page's full width
 _PAGE_DPI = 170  # sharp on paper at the width of a page, and twice what a column of the screen has
 _COLOURS = 256  # of a PNG's palette
@@ -69,20 +72,16 @@ def picture(figure: Figure, words: str) -> Picture:
     words : str
         What it shows, for who cannot see it.
     """
-    file = BytesIO()
     with mpl.rc_context(_LOOK):
-        figure.savefig(file, format="png", metadata={"Software": None}, dpi=_PAGE_DPI)
-    width, height = (float(length) for length in figure.get_size_inches())
-    return Picture(_fewer_colours(file.getvalue()), width, height, words)
-
-
-def _fewer_colours(png: bytes) -> bytes:
-    """Return a picture with a palette: drawings have few colours, images few greys."""
-    with Image.open(BytesIO(png)) as opened:
-        reduced = opened.convert("RGB").quantize(_COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+        figure.set_dpi(_PAGE_DPI)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+    drawn = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
     file = BytesIO()
-    reduced.save(file, format="png", optimize=True)
-    return file.getvalue()
+    # Drawings have few colours, images few greys.
+    drawn.quantize(_COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(file, "png", optimize=True)
+    width, height = (float(length) for length in figure.get_size_inches())
+    return Picture(file.getvalue(), width, height, words)
 
 
 def drawable(name: str) -> str:
