@@ -59,10 +59,12 @@ def uncertain_rig() -> Rig:
 TRUE_POSE = SpotPose.from_slopes(250.0, 0.35, -0.5, 6.0)
 
 
-def spot_through(rig: Rig, sigma_px: float, n: int = 60, seed: int = 3) -> Spot:
-    """The spot of `TRUE_POSE`, seen through a rig."""
-    pose, beam = TRUE_POSE, rig.require_beam()
+def spot_through(rig: Rig, sigma_px: float, n: int = 60, seed: int = 3, z_L: float = TRUE_POSE.z_L) -> Spot:
+    """The spot of `TRUE_POSE`, or farther away, seen through a rig."""
+    beam = rig.require_beam()
+    pose = SpotPose.from_slopes(z_L, *TRUE_POSE.slopes, beam.radius)
     setup = eq.Setup(rig.focal_length, *rig.laser_offset, beam.radius)
+    assert pose.beta is not None
     v = eq.PaperVariables(pose.R, pose.z_L + rig.axial_shift, pose.alpha, pose.beta)
     pixels = rig.from_laser_plane(boundary(v, setup, circle(n)))
     noise = sigma_px * np.random.default_rng(seed).standard_normal(pixels.shape)

@@ -53,20 +53,25 @@ def test_distances_are_orthogonal_up_to_third_order(sigma_px: float, order: int)
     assert differences[1] < 0.2 * first_order[1]
 
 
-def test_rig_effect_is_the_sensitivity_of_the_solver() -> None:
-    """Two derivations of one Jacobian: symbolic at one plane, and by monomials for all; at exact points they agree.
-
-    The secant over a tenth of a standard deviation and the noise of 1e-3 px leave four digits.
-    """
+def test_derivatives_by_the_rig_are_the_solvers_and_numerical_ones() -> None:
+    """At exact points, where the derivative of the noise of (16) drops out: two derivations of one Jacobian."""
     rig = uncertain_rig()
     problem = Problem.from_spot(spot_through(rig, 1e-3), rig)
     plane = np.array([250.0 + rig.axial_shift, 0.35, -0.5])
-    likelihood = Likelihood.of(problem)
-    assert likelihood.rig is not None
-    _, height = likelihood.kernel.distances(plane[None])
-    found = likelihood.rig.effect(plane[None], height)[0]
-    expected = sensitivity(problem, rig, plane).residual_by_rig @ likelihood.rig.root
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-3 * np.abs(expected).max(axis=0).min())
+    part = Likelihood.of(problem).rig
+    assert part is not None
+    distance, found = part.distances(plane[None], np.zeros((1, part.size)))
+    expected = sensitivity(problem, rig, plane).residual_by_rig @ part.root
+    # A secant over a tenth of a standard deviation and noise of 1e-3 px leave three digits.
+    np.testing.assert_allclose(found[0], expected, rtol=0, atol=1e-3 * np.abs(expected).max(axis=0).min())
+    step = 1e-4
+    moved = [part.distances(np.repeat(plane[None], part.size, 0), s * np.eye(part.size))[0] for s in (step, -step)]
+    numeric = ((moved[0] - moved[1]) / (2 * step)).T
+    np.testing.assert_allclose(found[0], numeric, rtol=0, atol=1e-2 * np.abs(numeric).max())
+    assert problem.points is not None
+    assert problem.noise is not None
+    at_rest, _ = Kernel.of(problem.points, problem.noise, problem.setup).distances(plane[None])
+    np.testing.assert_allclose(distance, at_rest, atol=1e-6 * np.abs(at_rest).max())
 
 
 def test_mirrored_plane_has_the_same_image_and_the_stated_jacobian() -> None:

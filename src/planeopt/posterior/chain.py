@@ -8,7 +8,7 @@ import numpy as np
 from emcee.moves import DEMove
 from numpy.typing import NDArray
 
-from planeopt.posterior.diagnostics import Diagnostics, Stop, autocorrelation_time, split_r_hat
+from planeopt.posterior.diagnostics import R_HAT_LIMIT, Diagnostics, Stop, autocorrelation_time, split_r_hat
 from planeopt.posterior.moves import IndependenceMove, InvolutionMove, SnookerMove
 from planeopt.posterior.proposal import Mixture
 from planeopt.posterior.target import Target
@@ -111,11 +111,13 @@ def run(
             ahead = min(CHECK_EVERY, budget - steps)
             sampler.run_mcmc(at, ahead, skip_initial_state_check=True)
             at, steps, before = None, steps + ahead, tau
-            tau = autocorrelation_time(np.asarray(sampler.get_chain()))
+            path = np.asarray(sampler.get_chain())
+            tau = autocorrelation_time(path)
             effective = max(steps - BURN_IN * tau, 0.0) * len(start) / tau
             if progress is not None:
                 progress(Progress(effective, draws, steps, budget))
-            if steps > TIMES * tau and abs(tau - before) < STEADY * tau and effective >= draws:
+            long_enough = steps > TIMES * tau and abs(tau - before) < STEADY * tau and effective >= draws
+            if long_enough and split_r_hat(path[int(BURN_IN * tau) :]) < R_HAT_LIMIT:
                 stopped = Stop.CONVERGED
                 break
     except KeyboardInterrupt:

@@ -14,8 +14,8 @@ class Stop(Enum):
     """Why sampling ended; the value is the sentence a user reads."""
 
     CONVERGED = (
-        "Sampling ended by itself: over 50 autocorrelation times, their estimate steady to 2 %, and as many effective "
-        "draws as asked for."
+        "Sampling ended by itself: over 50 autocorrelation times, their estimate steady to 2 %, split R-hat below "
+        "1.05, and as many effective draws as asked for."
     )
     BUDGET = (
         "Sampling ended because its budget of steps was used up, before it was long enough to end by itself: "
@@ -56,7 +56,7 @@ class Diagnostics:
 
     @property
     def converged(self) -> bool:
-        return self.stopped is Stop.CONVERGED and self.r_hat < R_HAT_LIMIT
+        return self.stopped is Stop.CONVERGED
 
     @property
     def sentence(self) -> str:
@@ -67,7 +67,7 @@ class Diagnostics:
 
 
 R_HAT_LIMIT = 1.05
-"""Beyond it the walkers have not mixed. A chain of 50 autocorrelation times has sqrt(1 + 2/50) by chance alone."""
+"""Beyond it the walkers have not mixed. Half a chain of 50 autocorrelation times has sqrt(1 + 1/25) by chance alone."""
 
 
 def autocorrelation_time(chain: Array) -> float:

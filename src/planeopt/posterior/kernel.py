@@ -1,7 +1,7 @@
-"""Distances of all points from the ellipses of many planes at once, by one matrix product.
+"""Distances of all points from the ellipses of many planes at once.
 
-(6) in slopes is a quadratic form in ``(z_L, p, q, 1)``. So are (16) at a point, its gradient and its derivatives by the
-beam's offset and radius: for N points and W planes each is a product (W, 10) x (10, N).
+(6) in slopes is a quadratic form in ``(z_L, p, q, 1)``. So are (16) at a point and its gradient: for N points and W
+planes each is a product (W, 10) x (10, N). Where the rig is uncertain, each plane has points and a beam of its own.
 """
 
 from dataclasses import dataclass
@@ -104,28 +104,68 @@ def _basis(points: Array) -> tuple[Array, Array, Array]:
     return value, by_x, by_y
 
 
-def rig_forms(points: Array, setup: eq.Setup, points_by_rig: Array, setup_by_rig: Array) -> Array:
-    """Derivatives of (16) at the points by k parameters of the rig, by monomial of the plane.
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """Distances of points that have moved.
+
+    Attributes
+    ----------
+    distance : (W, N)
+        Signed, in standard deviations.
+    derivatives : (5, W, N)
+        By the point's x and y and by ``e_x, e_y, r``: those of (16) over the noise it has from the point, which are the
+        distance's own on the ellipse.
+    """
+
+    distance: Array
+    derivatives: Array
+
+
+def moved_distances(planes: Array, f: float, points: Array, beams: Array, roots: Array) -> Moved:
+    """As `Kernel.distances`, of other points and another beam for each plane.
+
+    With ``l = f - p x - q y``, ``w = z_L - p e_x - q e_y``, ``a = w x - e_x l``, ``b = w y - e_y l`` the conic (6) is
+    ``a^2 + b^2 - r^2 l^2``.
 
     Parameters
     ----------
-    points : (N, 2)
-    setup : Setup
-    points_by_rig : (N, 2, k)
-        How the points move on the laser-parallel image plane, their raw pixels held fixed.
-    setup_by_rig : (3, k)
-        How ``e_x, e_y, r`` move.
-
-    Returns
-    -------
-    (10, N, k)
+    planes : (W, 3)
+    f : float
+    points : (2, W, N)
+        x and y on the laser-parallel image plane.
+    beams : (W, 3)
+        ``e_x, e_y, r``.
+    roots : (3, N)
+        As in `Kernel`.
     """
-    conic = conic_by_monomials(setup)
-    value, g_x, g_y = _basis(points)
-    forms = (conic @ g_x)[:, :, None] * points_by_rig[:, 0] + (conic @ g_y)[:, :, None] * points_by_rig[:, 1]
-    # (6) is of second degree in e_x, e_y and r: a central difference is exact, and a step of 1 mm loses no digit.
-    for column, name in enumerate(("e_x", "e_y", "r")):
-        at = getattr(setup, name)
-        ahead, behind = (conic_by_monomials(setup._replace(**{name: at + step})) for step in (1.0, -1.0))
-        forms += (((ahead - behind) / 2) @ value)[:, :, None] * setup_by_rig[column]
-    return forms
+    z_L, p, q = planes.T[:, :, None]
+    e_x, e_y, r = beams.T[:, :, None]
+    x, y = points
+    w, r2 = z_L - p * e_x - q * e_y, r * r
+    px, py, qx, qy = w + e_x * p, e_y * p, e_x * q, w + e_y * q
+    level = f - p * x - q * y
+    a, b = w * x - e_x * level, w * y - e_y * level
+    F = a * a + b * b - r2 * (level * level)
+    half_x = a * px + b * py + (r2 * p) * level
+    half_y = a * qx + b * qy + (r2 * q) * level
+    xx, yx, yy = roots
+    along, across = 2 * (xx * half_x + yx * half_y), 2 * (yy * half_y)
+    u, v = xx * along, yx * along + yy * across
+    height2 = along * along + across * across
+    b_0, b_1, b_2 = px * px + py * py - r2 * p * p, 2 * (px * qx + py * qy - r2 * p * q), qx * qx + qy * qy - r2 * q * q
+    bent = 4 * F * (b_0 * (u * u) + v * (b_1 * u + b_2 * v)) / height2
+    height = np.sqrt(height2)
+    distance = 2 * F / (height + np.sqrt(np.maximum(height2 - bent, 0.0)))
+    twice = 2 / height
+    a, b = a * twice, b * twice
+    turn = a * x + b * y
+    derivatives = np.stack(
+        [
+            half_x * twice,
+            half_y * twice,
+            -(p * turn + a * level),
+            -(q * turn + b * level),
+            -(r * twice) * (level * level),
+        ]
+    )
+    return Moved(distance, derivatives)

@@ -1,4 +1,4 @@
-"""The rig's uncertain parameters: one normal law, integrated out where it acts linearly, drawn back afterwards."""
+"""The rig's uncertain parameters: one normal law, integrated out for each plane, drawn back afterwards."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planeopt.formulations.problem import Problem
-from planeopt.posterior.kernel import monomials, rig_forms
+from planeopt.posterior.kernel import moved_distances
 from planeopt.rig import Rig
 
 Array = NDArray[np.float64]
@@ -20,6 +20,11 @@ _STEP = 0.1
 class RigPart:
     """The rig's free parameters ``eta = nominal + root z``, ``z`` standard normal.
 
+    Where the points lie on the laser-parallel image plane, and ``e_x, e_y, r`` there, are taken as linear in ``z``. The
+    points' distances from an ellipse are not: a principal point off by a pixel moves the points by a pixel, and where
+    the spot is small the square of that over its radius is more than the noise. They are evaluated where the points
+    have moved to.
+
     Attributes
     ----------
     parameters : tuple of str
@@ -27,17 +32,28 @@ class RigPart:
     nominal : (k,)
     root : (k, k)
         ``root root'`` is their covariance.
-    forms : (10, N k)
-        Derivatives of (16) at the points by ``z``, by monomial of the plane.
+    points : (2, N)
+        Of the nominal rig, mm.
+    beam : (3,)
+        ``e_x, e_y, r`` of the nominal rig, laser-parallel frame.
+    by_rig : (N, 5, k)
+        Of each point's x and y, its raw pixel held fixed, and of ``e_x, e_y, r``, by ``z``.
+    f : float
+    roots : (3, N)
+        Of the points' noise, as in `Kernel`.
     """
 
     parameters: tuple[str, ...]
     nominal: Array
     root: Array
-    forms: Array
+    points: Array
+    beam: Array
+    by_rig: Array
+    f: float
+    roots: Array
 
     @classmethod
-    def of(cls, problem: Problem, rig: Rig) -> "RigPart":
+    def of(cls, problem: Problem, rig: Rig, roots: Array) -> "RigPart":
         """Differentiate where the points lie, and the beam's numbers, by the rig's parameters.
 
         Parameters
@@ -46,6 +62,8 @@ class RigPart:
             Made from a spot, so that its raw pixels are there.
         rig : Rig
             With a covariance.
+        roots : (3, N)
+            Of the points' noise, as in `Kernel`.
 
         Raises
         ------
@@ -64,17 +82,44 @@ class RigPart:
             ahead, behind = (_seen(problem, rig, names, nominal + step * column) for step in (_STEP, -_STEP))
             points.append((ahead[0] - behind[0]) / (2 * _STEP))
             beams.append((ahead[1] - behind[1]) / (2 * _STEP))
-        forms = rig_forms(problem.points, problem.setup, np.stack(points, axis=-1), np.stack(beams, axis=-1))
-        return cls(names, nominal, root, forms.reshape(len(forms), -1))
+        setup, moved = problem.setup, np.stack(points, axis=-1)
+        return cls(
+            names,
+            nominal,
+            root,
+            np.ascontiguousarray(problem.points.T),
+            np.array([setup.e_x, setup.e_y, setup.r]),
+            np.concatenate([moved, np.broadcast_to(np.stack(beams, axis=-1), (len(moved), 3, len(names)))], axis=1),
+            float(setup.f),
+            roots,
+        )
 
     @property
     def size(self) -> int:
+        """Number of free parameters."""
         return len(self.parameters)
 
-    def effect(self, planes: Array, height: Array) -> Array:
-        """Derivatives (W, N, k) of the whitened distances by ``z``; ``height`` (W, N) is the noise of (16)."""
-        values = monomials(planes) @ self.forms
-        return values.reshape(*height.shape, -1) / height[:, :, None]
+    def distances(self, planes: Array, z: Array) -> tuple[Array, Array]:
+        """Distances of the points where a rig puts them, and their derivatives by the rig.
+
+        Parameters
+        ----------
+        planes : (W, 3)
+        z : (W, k)
+            Whitened parameters.
+
+        Returns
+        -------
+        distances : (W, N)
+            In standard deviations.
+        derivatives : (W, N, k)
+            By ``z``.
+        """
+        points = np.stack([self.points[i] + z @ self.by_rig[:, i].T for i in (0, 1)])
+        found = moved_distances(planes, self.f, points, self.beam + z @ self.by_rig[0, 2:].T, self.roots)
+        # Point by point, which keeps the large array in an order that the products after it can use as it lies.
+        derivatives = np.ascontiguousarray(found.derivatives.T) @ self.by_rig
+        return found.distance, derivatives.transpose(1, 0, 2)
 
     def parameters_at(self, z: Array) -> Array:
         """The rig's parameters (..., k) at whitened ones (..., k)."""

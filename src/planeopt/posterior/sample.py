@@ -25,7 +25,9 @@ from planeopt.spot import Spot
 
 Array = NDArray[np.float64]
 
-_CANDIDATES = 4000
+_CANDIDATES = 2000
+
+_LOOK_ROUND = 4000
 
 # A likelihood that falls by this from its top is beyond the 1e-6 quantile of chi-squared with 3 degrees of freedom.
 _BEYOND = 15.3
@@ -176,9 +178,10 @@ def _peaks(target: Target, problem: Problem, state: np.random.RandomState) -> tu
             scale = np.array([1 / plane[0], 1.0, 1.0])
             root[:3, :3] = scale[:, None] * np.linalg.cholesky(solution.uncertainty.spot)
         starts.append((_theta(target, plane), root))
-    wide = Prior(depth_radii=(1.0, 1e4)).draw_unseen(state, _CANDIDATES, problem.setup)
-    thetas = np.stack([_theta(target, plane) for plane in wide])
-    values = target.log_likelihood(thetas)
+    wide = Prior(depth_radii=(1.0, 1e4)).draw_unseen(state, _LOOK_ROUND, problem.setup)
+    thetas = np.column_stack([np.log(wide[:, 0]), wide[:, 1:], np.zeros((len(wide), target.dimension - 3))])
+    # For a look round the nominal rig will do.
+    values = replace(target, likelihood=replace(target.likelihood, rig=None)).log_likelihood(thetas)
     starts.append((thetas[int(np.argmax(values))], guess))
     found = [
         climb(target.log_likelihood, start, root)
