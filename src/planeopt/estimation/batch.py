@@ -328,6 +328,8 @@ def _excess(found: PointsSolution, points: _Points, setup: eq.Setup) -> Array:
     excess = np.full(len(found), np.nan)
     known = np.flatnonzero(np.isfinite(found.covariance).all(axis=(1, 2)))
     longest = points.mm.shape[1]
+    if not len(known):
+        return excess
     for rows in np.array_split(known, 1 + len(known) * longest // _REACH_POINTS):
         noise = points.noise[rows] * (found.scale[rows] ** 2)[:, None, None, None]
         boundary = Boundary.of(points.mm[rows], noise, np.arange(longest) < found.counts[rows, None])

@@ -13,6 +13,7 @@ from planeopt.estimation.distances import Boundary
 from planeopt.estimation.sets import Sets, Starts, closed_form_starts, direct_planes, untilted_planes
 from planeopt.formulations.bounds import FARTHEST, STEEPEST
 from planeopt.solution import Status
+from planeopt.spot.points import MIN_POINTS
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -178,6 +179,8 @@ def _put(into: PointsSolution, rows: NDArray[np.intp], values: PointsSolution) -
 
 def _solve_piece(given: Sets) -> PointsSolution:
     found = _blank(len(given.counts), given.counts)
+    if given.points.shape[1] < MIN_POINTS:
+        return found
     given = given.filled()
     rows = np.flatnonzero(given.usable())
     if len(rows) < len(found):

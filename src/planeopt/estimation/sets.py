@@ -17,6 +17,7 @@ from planeopt.errors import InputError
 from planeopt.estimation.descent import within_bounds
 from planeopt.formulations.bounds import FARTHEST
 from planeopt.formulations.problem import NOISE_FLOOR
+from planeopt.spot.points import MIN_POINTS
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -128,7 +129,7 @@ class Sets:
             positive = (xx > 0) & (yy > 0) & (xx * yy > xy * xy) & np.isfinite(xx + yy)
         else:
             positive = (self.noise > 0) & np.isfinite(self.noise)
-        return np.isfinite(self.spread2) & positive.all(axis=1) & (self.counts >= 5)
+        return np.isfinite(self.spread2) & positive.all(axis=1) & (self.counts >= MIN_POINTS)
 
     @property
     def spread2(self) -> Array:
