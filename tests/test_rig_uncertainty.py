@@ -77,6 +77,30 @@ def test_sensitivity_is_the_derivative_of_the_solution(
     np.testing.assert_allclose(numeric / size, analytic / size, rtol=1e-3, atol=1e-3 * np.abs(analytic / size).max())
 
 
+def test_sigma_of_the_long_axis_holds_the_radius_and_what_it_shares_with_the_slopes(case: Case) -> None:
+    """Against R = r sqrt(1 + p^2 + q^2) of new solves with the rig a hundredth of a sigma off, along its covariance's axes.
+
+    Differences of that size leave four digits.
+    """
+    spot = Spot(case.pixels, np.full(len(case.pixels), 0.05))
+    solution = solve(spot, case.rig)
+    assert solution.sigma is not None
+    assert solution.sigma_spot is not None
+    factor = np.linalg.cholesky(covariance().matrix)
+    nominal = np.array([case.rig.parameter(name) for name in PARAMETERS])
+    variance, step = 0.0, 0.01
+    for axis in factor.T:
+        ends = []
+        for way in (step, -step):
+            rig = case.rig.with_parameters(dict(zip(PARAMETERS, nominal + way * axis, strict=True)))
+            pose = solve(spot, rig).pose
+            assert pose is not None
+            ends.append(pose.R)
+        variance += ((ends[0] - ends[1]) / (2 * step)) ** 2
+    found = np.sqrt((solution.sigma.R or 0) ** 2 - (solution.sigma_spot.R or 0) ** 2)
+    assert found == pytest.approx(np.sqrt(variance), rel=1e-3)
+
+
 def test_without_a_covariance_the_rig_part_is_zero_and_flagged(case: Case) -> None:
     spot = Spot(case.pixels, np.full(len(case.pixels), 0.05))
     with_rig, without = solve(spot, case.rig), solve(spot, replace(case.rig, covariance=None))

@@ -223,6 +223,8 @@ class Uncertainty:
     plane_by_rig, normal_by_rig : (3, n) or None
         Derivatives by the parameters of the rig's covariance: what images of one rig have in common. None where the
         rig has no covariance.
+    radius : (4,) or None
+        Covariance of the beam's radius with ``(z_L, p, q)``, and its variance, mm; None where the radius is certain.
     """
 
     spot: Array
@@ -231,6 +233,7 @@ class Uncertainty:
     normal_rig: Array
     plane_by_rig: Array | None = None
     normal_by_rig: Array | None = None
+    radius: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -264,7 +267,13 @@ class Sigmas:
     normal: float
 
 
-def sigmas(pose: SpotPose, covariance: Array, normal_covariance: Array, radius: float) -> Sigmas:
+def sigmas(
+    pose: SpotPose,
+    covariance: Array,
+    normal_covariance: Array,
+    radius: float,
+    radius_covariance: Array | None = None,
+) -> Sigmas:
     """Carry a covariance of ``(z_L, p, q)`` to the reported quantities.
 
     Parameters
@@ -276,20 +285,29 @@ def sigmas(pose: SpotPose, covariance: Array, normal_covariance: Array, radius: 
         Of the unit normal; its trace is the squared RMS angle.
     radius : float
         Of the beam, mm.
+    radius_covariance : (4,), optional
+        As `Uncertainty.radius`.
     """
-    alpha_sigma = beta_sigma = long_axis_sigma = None
+    alpha_sigma = beta_sigma = None
+    p, q = pose.slopes
+    tangent, slopes = math.hypot(p, q), covariance[1:, 1:]
     if pose.beta is not None:
-        p, q = pose.slopes
-        tangent = math.hypot(p, q)
         to_alpha = np.array([p, q]) / (tangent * (1 + tangent**2))
         to_beta = np.array([-q, p]) / tangent**2
-        to_long_axis = radius * np.array([p, q]) / math.sqrt(1 + tangent**2)
-        slopes = covariance[1:, 1:]
-        alpha_sigma, beta_sigma, long_axis_sigma = (
-            math.sqrt(max(row @ slopes @ row, 0.0)) for row in (to_alpha, to_beta, to_long_axis)
-        )
+        alpha_sigma, beta_sigma = (math.sqrt(max(row @ slopes @ row, 0.0)) for row in (to_alpha, to_beta))
+    # R = r sqrt(1 + p^2 + q^2)
+    length = math.sqrt(1 + tangent**2)
+    to_long_axis = radius * np.array([p, q]) / length
+    long_axis = float(to_long_axis @ slopes @ to_long_axis)
+    if radius_covariance is not None:
+        long_axis += 2 * length * float(to_long_axis @ radius_covariance[1:3]) + length**2 * float(radius_covariance[3])
+    known = pose.beta is not None or radius_covariance is not None
     return Sigmas(
-        math.sqrt(covariance[0, 0]), alpha_sigma, beta_sigma, long_axis_sigma, math.sqrt(np.trace(normal_covariance))
+        math.sqrt(covariance[0, 0]),
+        alpha_sigma,
+        beta_sigma,
+        math.sqrt(max(long_axis, 0.0)) if known else None,
+        math.sqrt(np.trace(normal_covariance)),
     )
 
 
@@ -374,7 +392,7 @@ class Solution:
         if self.uncertainty is None or self.pose is None or self.covariance is None:
             return None
         u = self.uncertainty
-        return sigmas(self.pose, self.covariance, u.normal_spot + u.normal_rig, self.radius)
+        return sigmas(self.pose, self.covariance, u.normal_spot + u.normal_rig, self.radius, u.radius)
 
     @property
     def sigma_spot(self) -> Sigmas | None:

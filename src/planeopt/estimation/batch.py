@@ -16,7 +16,6 @@ from planeopt.estimation.efficiency import reach, typical_sigma
 from planeopt.estimation.points import STATUSES, PointsSolution, improbability, solve_points
 from planeopt.estimation.reservations import reservations
 from planeopt.estimation.rig_effect import RigEffect, rig_effect
-from planeopt.estimation.rig_part import normal_by_rig
 from planeopt.plane import Plane, SpotPose
 from planeopt.rig import Rig
 from planeopt.solution import Flag, RigTest, Solution, Status, Uncertainty
@@ -128,14 +127,7 @@ class BatchSolution:
         )
 
     def _uncertainty(self, i: int) -> Uncertainty:
-        rig, spot = self.rig, self.spot_covariance[i]
-        by_slopes = rig.Q.T @ evidence.normal_by_slopes(self.planes[i])
-        normal_spot = by_slopes @ spot[1:, 1:] @ by_slopes.T
-        if rig.covariance is None:
-            return Uncertainty(spot, np.zeros((3, 3)), normal_spot, np.zeros((3, 3)))
-        by_rig = normal_by_rig(rig, self.planes[i], self.plane_by_rig[i])
-        normal_rig = by_rig @ rig.covariance.matrix @ by_rig.T
-        return Uncertainty(spot, self.rig_covariance[i], normal_spot, normal_rig, self.plane_by_rig[i], by_rig)
+        return evidence.split(self.rig, self.planes[i], self.spot_covariance[i], self.plane_by_rig[i])
 
 
 def solve_batch(spots: Sequence[Spot], rig: Rig, *, robust: float | None = None) -> BatchSolution:

@@ -20,8 +20,7 @@ import scipy.stats
 from numpy.typing import NDArray
 
 from planeopt.errors import InputError
-from planeopt.estimation.evidence import normal_by_slopes
-from planeopt.estimation.rig_part import normal_by_rig
+from planeopt.estimation.evidence import split
 from planeopt.estimation.weighted_squares import weighted_chi2_sf
 from planeopt.plane import Plane, SpotPose
 from planeopt.rig import Rig
@@ -107,7 +106,7 @@ class Combined:
     def sigma(self) -> Sigmas:
         """Standard deviations, spots and rig together."""
         u = self.uncertainty
-        return sigmas(self.pose, self.covariance, u.normal_spot + u.normal_rig, self.radius)
+        return sigmas(self.pose, self.covariance, u.normal_spot + u.normal_rig, self.radius, u.radius)
 
     @property
     def sigma_spot(self) -> Sigmas:
@@ -265,14 +264,7 @@ def _carried(mean: Array, spot: Array, by_rig: Array, rig: Rig) -> tuple[SpotPos
     """Pose, plane in the camera frame and the split covariances of a plane ``(z_L along the beam, p, q)``."""
     z_L, p, q = mean.tolist()
     pose = SpotPose.from_slopes(z_L, p, q, rig.require_beam().radius)
-    by_slopes = rig.Q.T @ normal_by_slopes(mean)
-    normal_spot = by_slopes @ spot[1:, 1:] @ by_slopes.T
-    plane = rig.plane_from_pose(pose)
-    if rig.covariance is None:
-        return pose, plane, Uncertainty(spot, np.zeros((3, 3)), normal_spot, np.zeros((3, 3)))
-    sigma, turned = rig.covariance.matrix, normal_by_rig(rig, mean, by_rig)
-    uncertainty = Uncertainty(spot, by_rig @ sigma @ by_rig.T, normal_spot, turned @ sigma @ turned.T, by_rig, turned)
-    return pose, plane, uncertainty
+    return pose, rig.plane_from_pose(pose), split(rig, mean, spot, by_rig)
 
 
 def _agreement(p_value: float | None) -> Agreement:

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from planeopt import equations as eq
 from planeopt.closed_form import other_plane
 from planeopt.conic import sampson_distances
-from planeopt.estimation.rig_part import Sensitivity
+from planeopt.estimation.rig_part import Sensitivity, normal_by_rig
 from planeopt.formulations.problem import Problem
 from planeopt.formulations.snooping import detectability, image_misfit, space_left_by_plane, whitened_by_plane
 from planeopt.plane import Plane, SpotPose
+from planeopt.rig import Rig
 from planeopt.solution import OtherPlane, Residual, RigTest, Uncertainty
 
 Array = NDArray[np.float64]
@@ -197,16 +198,35 @@ def uncertainty(problem: Problem, plane: Array, spot: Array, effect: Sensitivity
     effect : Sensitivity or None
         Of the rig at this plane.
     """
-    by_slopes = normal_by_slopes(plane)
     if problem.rig is not None:
-        by_slopes = problem.rig.Q.T @ by_slopes
+        return split(problem.rig, plane, spot, None if effect is None else effect.plane_by_rig)
+    by_slopes = normal_by_slopes(plane)
+    return Uncertainty(spot, np.zeros((3, 3)), by_slopes @ spot[1:, 1:] @ by_slopes.T, np.zeros((3, 3)))
+
+
+def split(rig: Rig, plane: Array, spot: Array, plane_by_rig: Array | None) -> Uncertainty:
+    """Return what the spot and what the rig contributes to a plane's covariances.
+
+    Parameters
+    ----------
+    rig : Rig
+    plane : (3,)
+        ``(z_L, p, q)``.
+    spot : (3, 3)
+        Covariance of ``(z_L, p, q)`` from the boundary points.
+    plane_by_rig : (3, n) or None
+        Derivative of ``(z_L along the beam, p, q)`` by the parameters of the rig's covariance.
+    """
+    by_slopes = rig.Q.T @ normal_by_slopes(plane)
     normal_spot = by_slopes @ spot[1:, 1:] @ by_slopes.T
-    if effect is None or problem.rig is None or problem.rig.covariance is None:
+    if rig.covariance is None or plane_by_rig is None:
         return Uncertainty(spot, np.zeros((3, 3)), normal_spot, np.zeros((3, 3)))
-    sigma = problem.rig.covariance.matrix
-    rig = effect.plane_by_rig @ sigma @ effect.plane_by_rig.T
-    normal_rig = effect.normal_by_rig @ sigma @ effect.normal_by_rig.T
-    return Uncertainty(spot, rig, normal_spot, normal_rig, effect.plane_by_rig, effect.normal_by_rig)
+    sigma, turned, radius = rig.covariance.matrix, normal_by_rig(rig, plane, plane_by_rig), None
+    if "radius" in rig.covariance.parameters:
+        place = rig.covariance.parameters.index("radius")
+        radius = np.append(plane_by_rig @ sigma[:, place], sigma[place, place])
+    by_rig = plane_by_rig @ sigma @ plane_by_rig.T
+    return Uncertainty(spot, by_rig, normal_spot, turned @ sigma @ turned.T, plane_by_rig, turned, radius)
 
 
 def normal_by_slopes(plane: Array) -> Array:
