@@ -78,7 +78,7 @@ def test_sensitivity_is_the_derivative_of_the_solution(
 
 
 def test_sigma_of_the_long_axis_holds_the_radius_and_what_it_shares_with_the_slopes(case: Case) -> None:
-    """Against R = r sqrt(1 + p^2 + q^2) of new solves with the rig a hundredth of a sigma off, along its covariance's axes.
+    """Against R = r sqrt(1 + p^2 + q^2) of new solves, the rig a hundredth of a sigma off along its covariance.
 
     Differences of that size leave four digits.
     """
