@@ -211,7 +211,11 @@ class Lit:
 
 def draw_scene(view: View, look: Look, rng: np.random.Generator) -> Lit:
     """Return a scene of a random rig and plane with a random look; its seed is drawn as well."""
-    rig, pose = draw_view(view, rng)
+    return light(*draw_view(view, rng), view.kind, look, rng)
+
+
+def light(rig: Rig, pose: SpotPose, kind: Kind, look: Look, rng: np.random.Generator) -> Lit:
+    """Return the scene of a rig and a plane with a random look; its seed is drawn as well."""
     noise, blur, line = look.noise.draw(rng), look.blur_px.draw(rng), look.line_px.draw(rng)
     contrast = look.contrast.draw(rng)
     # Three standard deviations from black and, unless it is to be over-exposed, from full scale.
@@ -222,14 +226,14 @@ def draw_scene(view: View, look: Look, rng: np.random.Generator) -> Lit:
         contrast = look.over * (FULL_SCALE - background)
     line_mm = line * pose.z_L / rig.camera.fx
     height = contrast / FULL_SCALE
-    if view.kind == "ring":
+    if kind == "ring":
         # Blurring spreads the line's light over its new width; least where the line is widest.
         widest = line_mm * float(TrueBoundary.of(rig, pose).stretch.max())
         height *= float(np.sqrt(widest**2 + blur**2 + PIXEL_VARIANCE)) / widest
     scene = Scene.of(
         rig,
         pose,
-        beam=BeamProfile(kind=view.kind, height=height, line_mm=line_mm),
+        beam=BeamProfile(kind=kind, height=height, line_mm=line_mm),
         optics=Optics(blur_px=blur),
         surface=Surface(background=background / FULL_SCALE),
         noise=Noise(full_well_electrons=look.full_well_electrons, read=noise / FULL_SCALE),
