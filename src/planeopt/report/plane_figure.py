@@ -63,7 +63,7 @@ def plane_figure(rig: Rig, solution: Solution) -> Picture | None:
         _spot(scene, rig, plane, _SPOT, 5)
         _axis(scene, plane, 0.22 * pose.z_L, 6)
         middle = np.array([beam.offset[0] / 2, beam.offset[1] / 2])
-        side = max(0.17 * end, 1.3 * reach)
+        side = max(0.17 * end, 1.45 * reach)
         _frame(scene, (0.0, end), (middle[0] - side, middle[0] + side), (middle[1] - side, middle[1] + side), zoom=1.3)
         scene.view_init(elev=24, azim=-52)
         span = 2.0 * pose.R

@@ -117,15 +117,12 @@ def number(value: float, sigma: float | None) -> str:
 def decimals(sigma: float | None) -> int:
     """Return how many decimals a number with this standard deviation deserves: two digits of it, at most nine."""
     if sigma is None or sigma <= 0:
-        return 4
-    power = 0
-    while power < _MOST_DECIMALS and round(sigma, power) * 10**power < _TWO_DIGITS:
-        power += 1
-    return power
+        return _USUAL_DECIMALS
+    power = int(f"{sigma:.1e}".partition("e")[2])
+    return min(max(1 - power, 0), _MOST_DECIMALS)
 
 
-_MOST_DECIMALS = 9
-_TWO_DIGITS = 9.95
+_USUAL_DECIMALS, _MOST_DECIMALS = 4, 9
 
 
 def p_text(value: float) -> str:
