@@ -12,7 +12,8 @@ COUNTS = {
     "derivative_evaluations": "derivatives",
     "difference": "difference",
 }
-"""What a test leaves in ``benchmark.extra_info``, and its column's head."""
+"""What a test leaves in ``benchmark.extra_info``, and its column's head. ``each``, without a column, is by how many
+problems a time is divided."""
 
 UNITS_OF_TIME = ("SciPy least_squares", "cv2.GaussianBlur")
 """The row that the others' times are divided by; the fastest where a group has no such row."""
@@ -25,8 +26,9 @@ def _collected(request: pytest.FixtureRequest) -> Iterator[None]:
     if benchmark is None or benchmark.stats is None or "what" not in benchmark.extra_info:
         return
     stats = benchmark.stats.stats
-    info = {**benchmark.extra_info, "median": stats.median}
-    request.config.stash.setdefault(ROWS, []).append((info["what"], benchmark.group or "", stats.min, info))
+    each = benchmark.extra_info.get("each", 1)
+    info = {**benchmark.extra_info, "median": stats.median / each}
+    request.config.stash.setdefault(ROWS, []).append((info["what"], benchmark.group or "", stats.min / each, info))
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
