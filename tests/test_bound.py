@@ -54,7 +54,7 @@ def test_all_three_go_with_the_noise() -> None:
 
 
 def test_curvature_is_that_of_the_images() -> None:
-    """Against second differences of (5) across the boundary, by a search for where each normal meets the other images."""
+    """Against second differences of (5) across the boundary: where each normal of it meets the other images."""
     v, k, n = WORKED, WORKED_SETUP, 200
     plane, phi, sigma = slopes(v), circle(n, 0.4) + v.beta, 0.02
     exact = boundary(v, k, circle(n, 0.4))
