@@ -17,8 +17,9 @@ import pytest
 
 import planeopt.report
 from example_rig import example_rig
-from planeopt.cli import main
+from planeopt.cli import INTERRUPTED, main
 from planeopt.example import example_folder, example_targets
+from planeopt.posterior import Posterior, Stop, sample_posterior
 from planeopt.report.record import ReportFile
 from planeopt.report.schema import report_schema
 from planeopt.report.words import CAPTIONS
@@ -353,6 +354,34 @@ def test_a_browser_prints_the_page(targets: Made, tmp_path: Path):
     assert [float(side) for side in pages[0].mediabox[2:]] == pytest.approx([595, 842], abs=1)
     assert all(page.extract_text().strip() or page.images for page in pages)
     assert len(pages) <= 1.5 * len(targets.paper.pages)
+
+
+def test_a_sampler_that_breaks_down_costs_its_posterior_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def broken(*_: Any, **__: Any) -> None:
+        raise np.linalg.LinAlgError("singular\nmatrix")
+
+    monkeypatch.setattr("planeopt.report.examine.sample_posterior", broken)
+    monkeypatch.setattr("planeopt.report.examine.plane_figure", broken)
+    write_points(sparse_spot(), tmp_path / "a.csv")
+    assert run(tmp_path / "out", str(tmp_path / "a.csv"), "--rig", RIG) == 0
+    (record,) = json.loads((tmp_path / "out" / "poses.json").read_bytes())["records"]
+    assert (record["status"], record["posterior"]) == ("ok", None)
+    assert "singular matrix" in record["posterior_missing"]
+    page = PageReader((tmp_path / "out" / "report.html").read_text(encoding="utf-8"))
+    assert record["posterior_missing"] in " ".join(page.words)
+    assert [figure.key for figure in page.figures if not figure.table] == ["overlay", "residuals"]
+
+
+def test_an_interrupt_while_sampling_ends_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def interrupted(*arguments: Any, **options: Any) -> Posterior:
+        posterior = sample_posterior(*arguments, **options)
+        return replace(posterior, diagnostics=replace(posterior.diagnostics, stopped=Stop.INTERRUPTED))
+
+    monkeypatch.setattr("planeopt.report.examine.sample_posterior", interrupted)
+    write_points(sparse_spot(), tmp_path / "a.csv")
+    inputs = [str(tmp_path / "a.csv")] * 3
+    assert main(["report", *inputs, "--rig", RIG, "--draws", "50", "-o", str(tmp_path / "out")]) == INTERRUPTED
+    assert not (tmp_path / "out").exists()
 
 
 def test_help_says_what_the_options_are(capsys: pytest.CaptureFixture[str]):

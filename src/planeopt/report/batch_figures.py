@@ -118,7 +118,7 @@ def _quantiles(axes: Axes, places: Array, values: Array) -> None:
     axes.plot(expected, values[order], "o", color=DARK, ms=5)
     if n <= _NAMED:
         for x, y, place in zip(expected, values[order], places[order], strict=True):
-            axes.annotate(str(place), (x, y), (5, -2), textcoords="offset points", fontsize=7.5, va="top")
+            axes.annotate(str(place), (x, y), (4, 3), textcoords="offset points", fontsize=7.5)
     axes.set(xlabel=r"expected $\chi^2$ of that rank", ylabel=r"$\chi^2$, sorted", xlim=(0, reach))
     axes.set_ylim(0, 1.08 * max(float(values.max()), float(high.max())))
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False, borderpad=0.1)

@@ -93,9 +93,11 @@ def _trends(data: Mapping[str, Any]) -> Iterator[Block]:
     places, along = [float(i + 1) for i in range(len(records))], "image"
     if sequence is not None:
         places, along = sequence["positions"], sequence["label"]
-        yield Text(sequence["message"])
     yield Figure("trends", "Depth and angles", CAPTIONS["trends"], trends(places, along, found, doubtful))
-    if sequence is not None and sequence["trends"]:
+    if sequence is None:
+        return
+    yield Text(sequence["message"])
+    if sequence["trends"]:
         yield tables.slopes(data, "summary.sequence")
 
 
@@ -130,7 +132,7 @@ def _combined(data: Mapping[str, Any]) -> Iterator[Block]:
     if found is None:
         return
     yield Heading("All frames as one plane")
-    yield Text(found["message"])
+    yield Text(found["message"], "ok" if found["ok"] else "degraded")
     yield tables.quantities(
         data,
         "summary.combined",

@@ -6,7 +6,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from planeopt.comparison import compare
 from planeopt.errors import InputError
 from planeopt.executors import ordered_map
 from planeopt.posterior import Posterior, Prior, sample_posterior
-from planeopt.posterior.record import posterior_record
+from planeopt.posterior.record import PosteriorRecord, posterior_record
 from planeopt.report.content import Figure, Picture
 from planeopt.report.corner_figure import corner_figure
 from planeopt.report.plane_figure import plane_figure
@@ -33,6 +33,8 @@ from planeopt.spot import Spot
 from planeopt.spot.files import load_image
 
 _log = logging.getLogger(__name__)
+
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,11 +122,11 @@ def examine(path: StrPath, rig: Rig, options: Options) -> Examined:
     """Examine one file; never raises for what is wrong with it."""
     measured = measure(path, rig, search=options.search)
     pixels = _pixels(path, measured)
-    posterior, missing = _posterior(measured, rig, options)
+    posterior, sampled, missing = _posterior(measured, rig, options)
     record = report_record(
         measured.record,
         first_order=FirstOrder() if measured.solution is None else first_order(measured.solution),
-        posterior=None if posterior is None else posterior_record(posterior),
+        posterior=sampled,
         missing=missing,
         comparison=() if measured.spot is None or measured.solution is None else _comparison(measured.spot, rig),
     )
@@ -140,14 +142,16 @@ def _pixels(path: StrPath, measured: Measurement) -> NDArray[Any] | None:
         return None
 
 
-def _posterior(measured: Measurement, rig: Rig, options: Options) -> tuple[Posterior | None, str | None]:
-    """Return the posterior of an input that has a pose, or why there is none."""
+def _posterior(
+    measured: Measurement, rig: Rig, options: Options
+) -> tuple[Posterior | None, PosteriorRecord | None, str | None]:
+    """Return the posterior of an input that has a pose, and its record, or why there is none."""
     if measured.spot is None or measured.solution is None or measured.solution.pose is None:
-        return None, None
+        return None, None, None
     if measured.solution.status.record == "refused":
-        return None, None
+        return None, None, None
     if options.draws is None:
-        return None, "It was not asked for."
+        return None, None, "It was not asked for."
     try:
         posterior = sample_posterior(
             measured.spot,
@@ -159,12 +163,13 @@ def _posterior(measured: Measurement, rig: Rig, options: Options) -> tuple[Poste
             both_sides=options.both_sides,
             draws=options.draws,
         )
+        return posterior, posterior_record(posterior), None
     except InputError as error:
-        return None, f"It could not be sampled: {error}."
+        return None, None, f"It could not be sampled: {error}."
     except UNFORESEEN as error:
         _log.debug("%s: no posterior", measured.record.input, exc_info=error)
-        return None, f"Sampling broke down ({type(error).__name__}: {' '.join(str(error).split())[:200]})."
-    return posterior, None
+        said = f"{type(error).__name__}: {' '.join(str(error).split())}"[:300]
+        return None, None, f"Sampling broke down ({said})."
 
 
 def _comparison(spot: Spot, rig: Rig) -> tuple[Any, ...]:
@@ -186,8 +191,9 @@ def _figures(
             yield from _drawn("refusal", "The image", lambda: _refusal(pixels, measured, name))
         return
     channel = options.search.channel or "gray" if rig.spot is None else rig.spot.channel
-    posed = None if solution is None or solution.pose is None else pose_fit(spot, rig, solution.pose)
-    judged = judge(spot, rig.camera) if posed is None else posed.judged
+    pose = None if solution is None else solution.pose
+    posed = None if pose is None else _tried("fit", lambda: pose_fit(spot, rig, pose))
+    judged = _tried("ellipse", lambda: judge(spot, rig.camera)) if posed is None else posed.judged
     yield from _drawn(
         "overlay",
         "The boundary on the image",
@@ -213,10 +219,15 @@ def _refusal(pixels: NDArray[Any], measured: Measurement, name: str) -> Picture:
 
 
 def _drawn(key: str, title: str, draw: Callable[[], Picture | None]) -> Iterator[Figure]:
-    try:
-        drawing = draw()
-    except (InputError, *UNFORESEEN) as error:
-        _log.debug("the figure %s cannot be drawn", key, exc_info=error)
-        return
+    drawing = _tried(key, draw)
     if drawing is not None:
         yield Figure(key, title, CAPTIONS[key], drawing)
+
+
+def _tried(what: str, make: Callable[[], Made | None]) -> Made | None:
+    """Return what is made; None where that breaks down: the rest of the report does not depend on it."""
+    try:
+        return make()
+    except (InputError, *UNFORESEEN) as error:
+        _log.debug("%s cannot be drawn", what, exc_info=error)
+        return None

@@ -215,5 +215,5 @@ def _legend(figure: Any, *, shown: bool, cone: float | None) -> None:
     handles.append(Line2D([], [], color=_NORMAL, lw=1.8, label="normal"))
     if cone is not None:
         widened = "" if cone == 1 else f", {cone:g} times as wide"
-        handles.append(Patch(color=_NORMAL, alpha=0.3, label=f"95 % of it{widened}"))
+        handles.append(Patch(color=_NORMAL, alpha=0.3, label=f"95 % cone{widened}"))
     figure.legend(handles=handles, loc="lower center", ncols=len(handles), frameon=False)

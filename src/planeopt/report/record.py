@@ -124,9 +124,11 @@ class DriftRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 class CombinedRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """All frames as one plane."""
+    """All frames as one plane; `agreement` is alone, agree, scatter or alike, `ok` whether nothing contradicts it."""
 
     message: str
+    agreement: str
+    ok: bool
     n_frames: int
     z_L_mm: float | None
     alpha_deg: float | None

@@ -28,9 +28,8 @@ def image_section(data: Mapping[str, Any], i: int, examined: Examined) -> Sectio
     examined : Examined
     """
     name = Path(examined.input).name
-    return Section(
-        anchor_of(i + 1), f"{i + 1}. {name}", tuple(_image_blocks(data, i, examined)), tone=_tone(examined.status)
-    )
+    title = name if len(data["records"]) == 1 else f"{i + 1}. {name}"
+    return Section(anchor_of(i + 1), title, tuple(_image_blocks(data, i, examined)), tone=_tone(examined.status))
 
 
 def _tone(status: str) -> Any:

@@ -76,6 +76,8 @@ def _combined(found: Combined) -> CombinedRecord:
     p, q = pose.slopes
     return CombinedRecord(
         message=found.message,
+        agreement=found.agreement.name.lower(),
+        ok=found.ok,
         n_frames=found.n_frames,
         z_L_mm=finite(pose.z_L),
         alpha_deg=degrees(pose.alpha),

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from planeopt.report.content import Cell, Table
-from planeopt.report.words import CAPTIONS, decimals, number, p_text
+from planeopt.report.words import CAPTIONS, decimals, fixed, number, p_text
 
 DASH = Cell("-")
 _PLAIN_DECIMALS = 4
@@ -118,14 +118,14 @@ def _cone(data: Mapping[str, Any], at: str, *, posterior: bool) -> list[tuple[Ce
 
 def _cell(data: Mapping[str, Any], key: str, places: int) -> Cell:
     value = value_at(data, key)
-    return DASH if value is None else Cell(f"{value:.{places}f}", key)
+    return DASH if value is None else Cell(fixed(value, places), key)
 
 
 def _pair(data: Mapping[str, Any], low: str, high: str, places: int) -> Cell:
     first, second = value_at(data, low), value_at(data, high)
     if first is None or second is None:
         return DASH
-    return Cell(f"{first:.{places}f} to {second:.{places}f}", f"{low} {high}")
+    return Cell(f"{fixed(first, places)} to {fixed(second, places)}", f"{low} {high}")
 
 
 def split(data: Mapping[str, Any], at: str, parameters: str) -> Table:
@@ -154,9 +154,7 @@ def mount(data: Mapping[str, Any], at: str) -> Table:
 
 def _all(data: Mapping[str, Any], key: str, places: int) -> Cell:
     values = value_at(data, key)
-    return Cell(
-        ", ".join(f"{value:.{places}f}" for value in values), " ".join(f"{key}.{i}" for i in range(len(values)))
-    )
+    return Cell(", ".join(fixed(value, places) for value in values), " ".join(f"{key}.{i}" for i in range(len(values))))
 
 
 def evidence(data: Mapping[str, Any], at: str) -> Table:

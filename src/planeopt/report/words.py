@@ -111,7 +111,13 @@ def flag_sentence(name: str, status: str) -> str:
 
 def number(value: float, sigma: float | None) -> str:
     """Return a number to the second digit of its standard deviation; to four decimals where there is none."""
-    return f"{value:.{decimals(sigma)}f}"
+    return fixed(value, decimals(sigma))
+
+
+def fixed(value: float, places: int) -> str:
+    """Return a number with so many decimals, a zero without a sign."""
+    text = f"{value:.{places}f}"
+    return text.lstrip("-") if float(text) == 0 else text
 
 
 def decimals(sigma: float | None) -> int:
