@@ -22,12 +22,7 @@ from posterior_cases import LEVEL, PIXEL, SETUP, same_law, seen
 
 
 def assert_share(share: float, expected: float, n: float, tests: int) -> None:
-    """A share of n draws that should hold ``expected`` of them, two-sided at the family-wise level.
-
-    Draws an autocorrelation time apart are still correlated by exp(-2): the variance of a share is 1.31 times that of
-    independent draws.
-    """
-    n = n / 1.31
+    """A share of n independent draws that should hold ``expected`` of them, two-sided at the family-wise level."""
     limit = float(scipy.stats.norm.isf(LEVEL / 2 / tests)) * math.sqrt(expected * (1 - expected) / n)
     assert abs(share - expected) < limit, (share, expected, limit)
 
@@ -38,7 +33,8 @@ def test_normal_limit_is_the_maximum_likelihood_plane_and_its_covariance() -> No
     Means within their standard errors; variances along the principal axes within theirs, sqrt(2/n).
     """
     problem = seen(n=200)
-    posterior, n = sample_problem(problem, seed=1, draws=4000), 4000
+    posterior = sample_problem(problem, seed=1, draws=4000)
+    n = posterior.diagnostics.ess
     solution = solve_problem(problem, formulation=Reprojection())
     assert solution.pose is not None
     assert solution.covariance is not None
@@ -50,7 +46,7 @@ def test_normal_limit_is_the_maximum_likelihood_plane_and_its_covariance() -> No
     assert posterior.agrees
     assert posterior.diagnostics.stopped is Stop.CONVERGED
     assert posterior.diagnostics.converged
-    assert posterior.diagnostics.ess > n
+    assert n > 4000
     assert not posterior.prior_dominated
     assert posterior.laplace is not None
     np.testing.assert_allclose(posterior.laplace.plane, plane, atol=0.05 * math.sqrt(solution.covariance[0, 0]))
@@ -108,7 +104,7 @@ def test_weak_data_agree_with_integration_on_a_grid() -> None:
         # A cell's mass is spread over its width: as a step function the grid's own law would be too rough.
         found = np.interp(np.quantile(draws, np.arange(1, 10) / 10), *cumulated(values, weights))
         for expected, share in zip(np.arange(1, 10) / 10, found, strict=True):
-            assert_share(float(share), float(expected), len(draws), tests)
+            assert_share(float(share), float(expected), posterior.diagnostics.ess, tests)
     assert not posterior.agrees
     assert "Trust the samples" in posterior.agreement
     assert posterior.prior_dominated
@@ -147,7 +143,9 @@ def test_unknown_scale_is_integrated_to_student_t() -> None:
         found = np.interp(np.quantile(standard[column], levels), edges, law)
         for expected, share in zip(levels, found, strict=True):
             # Bins of two thirds of a sigma: linear within them to about 1 %.
-            limit = scipy.stats.norm.isf(LEVEL / 2 / 15) * math.sqrt(expected * (1 - expected) / len(posterior))
+            limit = scipy.stats.norm.isf(LEVEL / 2 / 15) * math.sqrt(
+                expected * (1 - expected) / posterior.diagnostics.ess
+            )
             assert abs(share - expected) < limit + 0.01
 
 

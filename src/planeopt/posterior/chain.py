@@ -1,5 +1,6 @@
 """Run emcee until it has sampled enough, or is told to stop."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -113,7 +114,7 @@ def run(
             at, steps, before = None, steps + ahead, tau
             path = np.asarray(sampler.get_chain())
             tau = autocorrelation_time(path)
-            effective = max(steps - BURN_IN * tau, 0.0) * len(start) / tau
+            effective = _effective(_kept(path, tau)[0])
             if progress is not None:
                 progress(Progress(effective, draws, steps, budget))
             long_enough = steps > TIMES * tau and abs(tau - before) < STEADY * tau and effective >= draws
@@ -125,6 +126,18 @@ def run(
     return _summed_up(sampler, start, to_theta, stopped)
 
 
+def _kept(path: Array, tau: float) -> tuple[Array, int, int]:
+    """The steps that are kept, (K, W, d): after the burn-in, the last of each autocorrelation time; both in steps."""
+    burn_in = min(math.ceil(BURN_IN * tau), len(path) // 2)
+    thin = min(math.ceil(tau), len(path) - burn_in)
+    return path[burn_in:][::-1][::thin][::-1], burn_in, thin
+
+
+def _effective(kept: Array) -> float:
+    """How many independent draws those kept are worth."""
+    return kept.shape[0] * kept.shape[1] / autocorrelation_time(kept)
+
+
 def _summed_up(
     sampler: emcee.EnsembleSampler, start: Array, to_theta: Callable[[Array], Array], stopped: Stop
 ) -> Chain:
@@ -134,11 +147,10 @@ def _summed_up(
         return Chain(start, Diagnostics(stopped, 0, 0, 1, len(start), 1.0, float(len(start)), np.inf, 0.0))
     path = np.asarray(sampler.get_chain())
     tau = autocorrelation_time(path)
-    burn_in = min(int(np.ceil(BURN_IN * tau)), steps // 2)
-    kept = path[burn_in:]
-    thin = max(1, min(int(np.ceil(tau)), len(kept)))
-    draws = to_theta(kept[::-1][::thin][::-1].reshape(-1, start.shape[1]))
+    kept, burn_in, thin = _kept(path, tau)
+    draws = to_theta(kept.reshape(-1, start.shape[1]))
     acceptance = float(np.mean(sampler.acceptance_fraction))
-    effective = len(kept) * len(start) / tau
-    diagnostics = Diagnostics(stopped, steps, burn_in, thin, len(start), tau, effective, split_r_hat(kept), acceptance)
+    diagnostics = Diagnostics(
+        stopped, steps, burn_in, thin, len(start), tau, _effective(kept), split_r_hat(path[burn_in:]), acceptance
+    )
     return Chain(draws, diagnostics)

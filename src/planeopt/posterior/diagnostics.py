@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from enum import Enum
 
-import emcee.autocorr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,7 +36,7 @@ class Diagnostics:
     tau : float
         Integrated autocorrelation time of the slowest coordinate, steps.
     ess : float
-        Effective number of independent draws of the slowest coordinate.
+        How many independent draws those that were kept are worth, for the slowest coordinate.
     r_hat : float
         Split R-hat (Gelman et al. 2013) of the worst coordinate, the halves of each walker's path as chains.
     acceptance : float
@@ -66,6 +65,8 @@ class Diagnostics:
         )
 
 
+_WINDOW = 5.0
+
 R_HAT_LIMIT = 1.05
 """Beyond it the walkers have not mixed. Half a chain of 50 autocorrelation times has sqrt(1 + 1/25) by chance alone."""
 
@@ -73,18 +74,21 @@ R_HAT_LIMIT = 1.05
 def autocorrelation_time(chain: Array) -> float:
     """Integrated autocorrelation time of the slowest coordinate of a chain (steps, walkers, d), at least 1; steps.
 
-    Sokal's window, averaged over the walkers (Foreman-Mackey et al. 2013); a chain without any motion counts as one
-    draw.
+    Of the walkers together, about their common mean: about each walker's own, as emcee has it, a short chain's time
+    comes out too small, by a tenth at 70 times, and walkers that never leave their places look as if they mixed. The
+    sum is cut off at 5 times itself (Sokal 1997). A chain without any motion counts as one draw.
     """
-    if len(chain) < 4:
-        return float(len(chain))
-    moving = np.ptp(chain, axis=(0, 1)) > 0
-    if not moving.any():
-        return float(len(chain))
-    with np.errstate(all="ignore"):
-        times = emcee.autocorr.integrated_time(chain[:, :, moving], tol=0, quiet=True)
-    known = times[np.isfinite(times)]
-    return max(1.0, float(np.max(known))) if len(known) else float(len(chain))
+    steps = len(chain)
+    centred = chain - np.mean(chain, axis=(0, 1))
+    spectrum = np.abs(np.fft.rfft(centred, 2 * steps, axis=0)) ** 2
+    covariance = np.fft.irfft(np.sum(spectrum, axis=1), 2 * steps, axis=0)[:steps]
+    moving = covariance[:, covariance[0] > 0]
+    if steps < 4 or not moving.size:
+        return float(steps)
+    times = 2 * np.cumsum(moving / moving[0], axis=0) - 1
+    enough = np.arange(steps)[:, None] >= _WINDOW * times
+    last = np.where(enough.any(axis=0), np.argmax(enough, axis=0), steps - 1)
+    return max(1.0, float(np.max(times[last, np.arange(times.shape[1])])))
 
 
 def split_r_hat(chain: Array) -> float:
