@@ -168,19 +168,19 @@ def measure(job: Job) -> CellRow:
     at_own = reach(truth.setup, found.planes[some], found.covariance[some], there, np.full(len(some), sigma))
     isotropic = truth.points + sigma * rng.standard_normal((draws // 2, N_POINTS, 2))
     other = solve_points(isotropic, sigma, truth.setup).planes - truth.plane
-    return CellRow(
-        **asdict(cell),
-        sigma_over_axis=float(wanted.sigma_over_axis[0]),
-        curvature=float(wanted.curvature[0]),
-        slope_sigma=float(wanted.slope_sigma[0]),
-        excess=float(wanted.excess[0]),
-        draws=draws,
-        lost=draws - len(error),
-        over_bound=_over(error, bound),
-        isotropic_over_bound=_over(other[np.isfinite(other).all(axis=1)], bound),
-        covered_95=float(np.mean(own < scipy.stats.chi2.ppf(0.95, 3))) if len(own) else np.nan,
-        noticed=float(np.mean(~at_own.ok)) if len(some) else np.nan,
-    )
+    numbers = {
+        "sigma_over_axis": float(wanted.sigma_over_axis[0]),
+        "curvature": float(wanted.curvature[0]),
+        "slope_sigma": float(wanted.slope_sigma[0]),
+        "excess": float(wanted.excess[0]),
+        "over_bound": _over(error, bound),
+        "isotropic_over_bound": _over(other[np.isfinite(other).all(axis=1)], bound),
+        "covered_95": float(np.mean(own < scipy.stats.chi2.ppf(0.95, 3))) if len(own) else np.nan,
+        "noticed": float(np.mean(~at_own.ok)) if len(some) else np.nan,
+    }
+    # As the table holds them, so that what is said of a cell at the very edge is what the table says.
+    rounded = {name: float(f"{value:.6g}") for name, value in numbers.items()}
+    return CellRow(**asdict(cell), draws=draws, lost=draws - len(error), **rounded)
 
 
 def squared_errors(error: Array, covariance: Array) -> Array:
