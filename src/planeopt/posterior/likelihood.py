@@ -19,9 +19,9 @@ Array = NDArray[np.float64]
 _CHUNK_NUMBERS = 2**19
 """Largest array of a step, in numbers: what is larger is no faster and takes memory."""
 
-_STEPS, _ROBUST_STEPS = 1, 7
-"""To the likeliest rig of a plane, with normal noise and with Student-t: with one point in ten an outlier of 50 sigma
-the first step is bad, and the others bring it back to 1e-4 of the log likelihood."""
+_ROBUST_STEPS = 6
+"""To the likeliest rig of a plane with Student-t noise: with one point in ten an outlier of 50 sigma the normal law's
+step is bad, and these bring it back to 1e-4 of the log likelihood. Without outliers that one step is enough."""
 
 
 class Scale(Enum):
@@ -122,26 +122,15 @@ class Likelihood:
         expected information.
         """
         z = np.zeros((len(planes), rig.size))
-        precision = None if log_scale is None else np.exp(-log_scale)[:, None]
-        for last in (*((False,) * (_STEPS if self.robust is None else _ROBUST_STEPS)), True):
-            r, G = rig.distances(planes, z)
-            if precision is not None:
-                r, G = r * precision, G * precision[:, :, None]
-            # With Student-t noise too the first step is the normal law's: far from the nominal rig's plane there are
-            # nothing but outliers at z = 0.
-            dof = self.robust if last or z.any() else None
-            weight, pull = (1.0, r) if dof is None else ((dof + 1) / (dof + 3), r * (dof + 1) / (dof + r * r))
-            information = weight * (np.swapaxes(G, 1, 2) @ G) + np.eye(rig.size)
-            score = (pull[:, None, :] @ G)[:, 0, :] + z
-            step = -np.linalg.solve(information, score[:, :, None])[:, :, 0]
-            if last:
-                gained = 0.5 * np.einsum("wk,wk->w", score, step)
-                here = -0.5 * np.einsum("wn,wn->w", r, r) if dof is None else _student(r, dof)
-                _, log_det = np.linalg.slogdet(information)
-                value = here - 0.5 * np.einsum("wk,wk->w", z, z) - gained - 0.5 * log_det
-                return value, z + step, information
-            z = z + step
-        raise AssertionError("the last step returns")
+        # With Student-t noise too the first step is the normal law's: far from the nominal rig's plane there are
+        # nothing but outliers at z = 0.
+        for dof in (None,) if self.robust is None else (None, *(_ROBUST_STEPS * (self.robust,))):
+            z = z + _step(rig, planes, z, log_scale, dof)[3]
+        r, score, information, step = _step(rig, planes, z, log_scale, self.robust)
+        here = -0.5 * np.einsum("wn,wn->w", r, r) if self.robust is None else _student(r, self.robust)
+        _, log_det = np.linalg.slogdet(information)
+        value = here - 0.5 * np.einsum("wk,wk->w", z, z) - 0.5 * np.einsum("wk,wk->w", score, step) - 0.5 * log_det
+        return value, z + step, information
 
     def rig_given(self, planes: Array, log_scale: Array | None = None) -> tuple[Array, Array]:
         """Mean (W, k) and information (W, k, k) of the rig's whitened parameters, given the planes and the points."""
@@ -163,6 +152,24 @@ class Likelihood:
             upper = np.swapaxes(np.linalg.cholesky(information), 1, 2)
             drawn.append(mean + np.linalg.solve(upper, noise[part])[:, :, 0])
         return self.rig.parameters_at(np.concatenate(drawn))
+
+
+def _step(
+    rig: RigPart, planes: Array, z: Array, log_scale: Array | None, dof: float | None
+) -> tuple[Array, Array, Array, Array]:
+    """Towards the likeliest ``z``: distances (W, N), slope (W, k) and curvature (W, k, k) here, and the step (W, k).
+
+    Slope and expected curvature are those of minus the log density.
+    """
+    r, G = rig.distances(planes, z)
+    if log_scale is not None:
+        precision = np.exp(-log_scale)[:, None]
+        r, G = r * precision, G * precision[:, :, None]
+    weight, pull = (1.0, r) if dof is None else ((dof + 1) / (dof + 3), r * (dof + 1) / (dof + r * r))
+    information = weight * (np.swapaxes(G, 1, 2) @ G) + np.eye(rig.size)
+    score = (pull[:, None, :] @ G)[:, 0, :] + z
+    step = -np.asarray(np.linalg.solve(information, score[:, :, None]), dtype=float)[:, :, 0]
+    return r, score, information, step
 
 
 def _student(r: Array, dof: float) -> Array:
