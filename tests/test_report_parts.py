@@ -5,6 +5,7 @@ from dataclasses import replace
 from enum import Enum
 from io import BytesIO
 from itertools import pairwise
+from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
@@ -23,7 +24,7 @@ from planeopt.report.batch_figures import Trend, chi2_figure, trends
 from planeopt.report.build import assemble
 from planeopt.report.content import Bullets, Cell, Heading, Page, Picture, Section, Table, Text
 from planeopt.report.corner_figure import corner_figure
-from planeopt.report.examine import Examined, Options
+from planeopt.report.examine import Examined, Options, examine
 from planeopt.report.html import to_html
 from planeopt.report.pdf import to_pdf
 from planeopt.report.plane_figure import magnification, opening, plane_figure
@@ -32,9 +33,9 @@ from planeopt.report.pose_fit import pose_fit
 from planeopt.report.record import FirstOrder, Provenance, first_order, report_record
 from planeopt.report.style import drawable, page_figure, picture
 from planeopt.report.words import CAPTIONS, decimals, flag_sentence, number, p_text, verdict
-from planeopt.rig import Beam, Rig, RigCovariance
+from planeopt.rig import Beam, Camera, Rig, RigCovariance
 from planeopt.solution import Flag, Solution, Status
-from planeopt.spot import NoSpotReason, Spot, SpotFlag
+from planeopt.spot import NoSpotReason, Spot, SpotFlag, write_points
 
 NOISE = 0.05
 
@@ -158,6 +159,23 @@ def test_figures_of_a_pose_are_drawn_whatever_it_is(name: str, z_L: float, p: fl
         assert drawn is not None
         width, height = size_of(drawn)
         assert width / height == pytest.approx(drawn.width / drawn.height, rel=0.01)
+
+
+def test_of_two_planes_the_heavier_is_drawn_and_both_are_told(tmp_path: Path):
+    camera = Camera((4000, 4000), 5000.0, 5000.0, 1500.0, 1000.0, (0.0, 0.0, 0.0, 0.0, 0.0), 0.005)
+    rig = Rig(camera, Beam(10.0, (30.0, 40.0), (0.0, 0.0, 1.0)))
+    # Its second plane is tilted by 82 deg, within the prior's bounds.
+    write_points(spot_on(rig, 215.0, 0.9, 1.2), tmp_path / "two.csv")
+    one = examine(tmp_path / "two.csv", rig, Options(draws=300, both_sides=True))
+    assert one.record.posterior is not None
+    first, second = one.record.posterior.modes
+    assert first.lit_side
+    assert not second.lit_side
+    titles = {figure.key: figure.title for figure in one.figures}
+    assert titles["corner"].endswith("of the heavier plane")
+    page = to_html(assemble([one], rig, CAME, Options(draws=300, both_sides=True)).page)
+    assert f"z_L = {second.plane[0]:.4f} mm" in page
+    assert "from behind, through the plane" in page
 
 
 def test_no_plane_no_picture_of_it():

@@ -204,14 +204,25 @@ def _figures(
     if solution is not None:
         yield from _drawn("plane", "The plane in space", lambda: plane_figure(rig, solution))
     if posterior is not None and solution is not None:
-        yield from _drawn("corner", "Posterior of depth and slopes", lambda: _corner(posterior))
+        several = ", of the heavier plane" if len(posterior.modes) > 1 else ""
+        yield from _drawn("corner", f"Posterior of depth and slopes{several}", lambda: _corner(posterior, rig))
 
 
-def _corner(posterior: Posterior) -> Picture:
-    laplace = posterior.laplace
-    if laplace is None:
-        return corner_figure(posterior.samples, None, None)
-    return corner_figure(posterior.samples, np.asarray(laplace.plane), np.asarray(laplace.covariance))
+def _corner(posterior: Posterior, rig: Rig) -> Picture:
+    samples, laplace = posterior.samples, posterior.laplace
+    if len(posterior.modes) > 1:
+        # Both together would be two dots far apart.
+        samples = samples[_lit_side(samples, rig) == posterior.modes[0].lit_side]
+    if laplace is None or _lit_side(laplace.plane[None], rig)[0] != _lit_side(samples, rig)[0]:
+        return corner_figure(samples, None, None)
+    return corner_figure(samples, laplace.plane, laplace.covariance)
+
+
+def _lit_side(planes: NDArray[np.float64], rig: Rig) -> NDArray[np.bool_]:
+    """Whether the camera is on the laser's side of planes (S, 3) of (z_L along the beam, p, q)."""
+    z_L, p, q = planes.T
+    e_x, e_y = rig.laser_offset
+    return np.asarray(z_L + rig.axial_shift - p * e_x - q * e_y > 0)
 
 
 def _refusal(pixels: NDArray[Any], measured: Measurement, name: str) -> Picture:

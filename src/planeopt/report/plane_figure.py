@@ -64,7 +64,9 @@ def plane_figure(rig: Rig, solution: Solution) -> Picture | None:
         _axis(scene, plane, 0.22 * pose.z_L, 6)
         middle = np.array([beam.offset[0] / 2, beam.offset[1] / 2])
         side = max(0.17 * end, 1.45 * reach)
-        _frame(scene, (0.0, end), (middle[0] - side, middle[0] + side), (middle[1] - side, middle[1] + side), zoom=1.3)
+        # A box that is nearly a cube would reach into the legend.
+        zoom = 1.3 * min(1.0, 0.62 + 0.08 * end / side)
+        _frame(scene, (0.0, end), (middle[0] - side, middle[0] + side), (middle[1] - side, middle[1] + side), zoom=zoom)
         scene.view_init(elev=24, azim=-52)
         span = 2.0 * pose.R
         _faces(near, [_square(plane, 0.93 * span)], _PLANE, 0.4, 1, edge=_PLANE)

@@ -36,7 +36,7 @@ CAPTIONS = {
         "Left, the camera, the beam and the plane to scale, in the camera frame. Right, the spot, larger; the cone "
         "holds the normal with 95 %, first order, spot and calibration together. Good: the plane is where it was put, "
         "on the side that the camera sees lit; the cone is narrow. The second plane, where it is drawn, has the same "
-        "image: camera and laser are on two sides of it, so that it cannot be the one."
+        "image, but camera and laser are on two sides of it: its spot would have to be seen from behind."
     ),
     "corner": (
         "Every two of depth and slopes against each other, counted from their medians. Blue: what the sampler found. "
