@@ -72,7 +72,9 @@ def climb(density: Density, start: Array, root: Array) -> Peak:
         curved = bool(values[0] > 0)
         bent = np.maximum(np.abs(values), 1e-6 * max(np.max(np.abs(values)), np.finfo(float).tiny))
         step = axes @ ((axes.T @ gradient) / bent)
-        step *= min(1.0, _LONGEST_STEP / max(float(np.linalg.norm(step)), np.finfo(float).tiny))
+        length = float(np.linalg.norm(step))
+        if length > _LONGEST_STEP:
+            step *= _LONGEST_STEP / length
         settled = curved and abs(float(gradient @ step)) < _SETTLED**2
         tried = centre + _FRACTIONS[:, None] * (root @ step)
         heights = density(tried)
