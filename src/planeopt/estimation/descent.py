@@ -139,9 +139,27 @@ def at_planes(
     return conics, found, monomials_at_feet(found, boundary)
 
 
-def _evaluate(planes: Array, boundary: Boundary, setup: eq.Setup, start: Array | None) -> _Point:
-    conics, found, monomials = at_planes(planes, boundary, setup, start, LOOSE_FEET)
-    rows = np.empty((len(planes), 4, found.distance.shape[-1]))
+class _Space:
+    """Memory of the large arrays, used again at every step: fresh pages would cost as much as the arithmetic."""
+
+    def __init__(self, m: int, n: int) -> None:
+        self.monomials = np.empty((m, 6, n))
+        self.rows = (np.empty((m, 4, n)), np.empty((m, 4, n)))
+
+    def rows_beside(self, used: Array | None, m: int) -> Array:
+        """Room for M rows that does not hold those in use."""
+        one, other = self.rows
+        return (other if used is not None and used.base is one else one)[:m]
+
+
+def _evaluate(
+    planes: Array, boundary: Boundary, setup: eq.Setup, start: Array | None, space: _Space, used: Array | None = None
+) -> _Point:
+    m = len(planes)
+    conics = Conics.of(planes, setup, boundary)
+    found = feet(conics, boundary, start, LOOSE_FEET)
+    monomials = monomials_at_feet(found, boundary, space.monomials[:m])
+    rows = space.rows_beside(used, m)
     np.matmul(conics.by_plane, monomials, out=rows[:, :3])
     rows[:, :3] *= found.rate[:, None, :]
     rows[:, 3] = found.distance
@@ -171,7 +189,8 @@ def descend(boundary: Boundary, setup: eq.Setup, start: Array, counts: Counts, l
     )
     index, damping, scale = np.arange(len(start)), np.zeros(len(start)), np.ones(len(start))
     with np.errstate(all="ignore"):  # a step too far is refused below, not reported
-        now = _evaluate(start, boundary, setup, None)
+        space = _Space(*boundary.x.shape)
+        now = _evaluate(start, boundary, setup, None, space)
         if loss.robust is not None:
             rms = np.sqrt(np.einsum("mi,mi->m", now.distance, now.distance) / counts)
             scale = np.where(loss.scale_free, np.maximum(rms, np.finfo(float).tiny), scale)
@@ -194,7 +213,7 @@ def descend(boundary: Boundary, setup: eq.Setup, start: Array, counts: Counts, l
                 index, boundary, loss = index[stay], boundary[stay], loss.take(np.flatnonzero(stay))
                 counts, now, target = counts[stay], now.take(stay), target[stay]
                 damping, scale, cost = damping[stay], scale[stay], cost[stay]
-            trial = _evaluate(target, boundary, setup, now.multiplier)
+            trial = _evaluate(target, boundary, setup, now.multiplier, space, now.rows)
             better = loss.cost(trial.distance, scale) <= cost * (1 + 1e-9)  # false for NaN
             damping = np.where(
                 better, np.where(damping > NEGLIGIBLE, damping / 10, 0.0), np.maximum(10 * damping, 1e-3)

@@ -22,10 +22,13 @@ from planeopt.errors import InputError
 Array = NDArray[np.float64]
 
 FOOT_TOLERANCE = 1e-10
-"""How far a distance may be off, as a share of a standard deviation or, where that is larger, of itself."""
+"""How far a distance may be off, in standard deviations."""
 
 MAX_FOOT_STEPS = 40
-"""Two or three are usual; points near the centre of an ellipse need most."""
+"""One to three are usual; points near the centre of an ellipse need most."""
+
+# Newton's step on an inverse square leaves this times its square over the distance from the pole.
+_QUADRATIC = 1.5
 
 
 @dataclass(frozen=True)
@@ -130,8 +133,9 @@ def _with_axis(parts: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
     return first, second, third
 
 
-def _monomials(x: Array, y: Array) -> Array:
-    made = np.empty((*x.shape[:-1], 6, x.shape[-1]))
+def _monomials(x: Array, y: Array, made: Array | None = None) -> Array:
+    if made is None:
+        made = np.empty((*x.shape[:-1], 6, x.shape[-1]))
     np.multiply(x, x, out=made[..., 0, :])
     np.multiply(x, y, out=made[..., 1, :])
     np.multiply(y, y, out=made[..., 2, :])
@@ -228,41 +232,103 @@ def feet(conics: Conics, boundary: Boundary, start: Array | None = None, toleran
         Multipliers to begin with; 0 unless given.
     tolerance : float
         Of the distances, as `FOOT_TOLERANCE`.
+
+    Notes
+    -----
+    Below the pole lie the farthest points of the ellipse; above it F falls and is convex: a step that is kept from
+    the pole comes to lie left of the root, and Newton's steps come back from there without fail. What is left after the
+    last is added along the normal, which is of the same order as another step.
     """
-    at_point = conics.value @ boundary.monomials
-    value, gx, gy = at_point[..., 0, :], at_point[..., 1, :], at_point[..., 2, :]
     quadratic = conics.value[..., 0, :3]
     axx, axy, ayy = quadratic[..., :1], quadratic[..., 1:2] / 2, quadratic[..., 2:]
     pole = _pole(axx, axy, ayy, boundary)
-    wxx, wxy, wyy = boundary.precision
-    isotropic, weight = wxx.ndim == 0, boundary.weight
+    search = _isotropic_feet if boundary.precision[0].ndim == 0 else _general_feet
+    return search(conics, boundary, (axx, axy, ayy), pole, start, tolerance)
 
-    def bent(m: Array) -> tuple[Array, ...]:
-        """``S = V^-1 + 2 m A`` and its determinant's inverse; ``u = S^-1 grad F(x)``; ``h = V^-1 u = grad F(foot)``."""
+
+def _isotropic_feet(
+    conics: Conics, boundary: Boundary, quadratic: tuple[Array, ...], pole: Array, start: Array | None, tolerance: float
+) -> Feet:
+    """`feet` along the axes of the ellipse, where ``V^-1 + 2 m A`` is diagonal; in place: this is where time goes."""
+    axx, axy, ayy = quadratic
+    angle = np.arctan2(axy, (axx - ayy) / 2) / 2
+    cos, sin = np.cos(angle), np.sin(angle)
+    spread = np.hypot((axx - ayy) / 2, axy)
+    first, second = (axx + ayy) / 2 + spread, (axx + ayy) / 2 - spread
+    turned = conics.value.copy()
+    turned[..., 1, :] = cos * conics.value[..., 1, :] + sin * conics.value[..., 2, :]
+    turned[..., 2, :] = cos * conics.value[..., 2, :] - sin * conics.value[..., 1, :]
+    at_point = turned @ boundary.monomials
+    value, g1, g2 = at_point[..., 0, :], at_point[..., 1, :], at_point[..., 2, :]
+    m = np.zeros_like(value) if start is None else np.maximum(start, 0.5 * pole)
+    weight = boundary.weight
+    steps = 0
+    while True:
+        steps += 1
+        s1, s2 = m * (2 * first), m * (2 * second)
+        s1 += 1
+        s2 += 1
+        u1, u2 = g1 / s1, g2 / s2
+        slope, other = u1 * u1, u2 * u2
+        steepness = slope + other
+        slope /= s1
+        other /= s2
+        slope += other
+        left = u1 * g1
+        left += np.multiply(u2, g2, out=other)
+        left += steepness
+        left *= m
+        left *= -0.5
+        left += value
+        step = np.divide(left, slope, out=slope)
+        room = np.subtract(pole, m, out=s1)
+        np.maximum(step, np.multiply(room, 0.5, out=other), out=step)
+        height = np.sqrt(steepness)
+        rest = np.multiply(step, step, out=other)
+        rest *= height
+        rest *= weight
+        room *= -tolerance / _QUADRATIC
+        if steps == MAX_FOOT_STEPS or not np.any(rest > room):
+            break
+        m = m + step
+    left /= steepness
+    left += m
+    u1 *= left
+    u2 *= left
+    left *= height
+    left *= weight
+    return Feet(np.add(m, step, out=step), left, cos * u1 - sin * u2, sin * u1 + cos * u2, weight / height)
+
+
+def _general_feet(
+    conics: Conics, boundary: Boundary, quadratic: tuple[Array, ...], pole: Array, start: Array | None, tolerance: float
+) -> Feet:
+    """`feet` in each point's own metric."""
+    axx, axy, ayy = quadratic
+    at_point = conics.value @ boundary.monomials
+    value, gx, gy = at_point[..., 0, :], at_point[..., 1, :], at_point[..., 2, :]
+    wxx, wxy, wyy = boundary.precision
+    m = np.zeros_like(value) if start is None else np.maximum(start, 0.5 * pole)
+    weight = boundary.weight
+    steps = 0
+    while True:
+        steps += 1
+        # S = V^-1 + 2 m A, u = S^-1 grad F(point); h = V^-1 u is the gradient where the search stands.
         twice = m + m
         sxx, sxy, syy = wxx + twice * axx, wxy + twice * axy, wyy + twice * ayy
         size = 1 / (sxx * syy - sxy * sxy)
         ux, uy = (syy * gx - sxy * gy) * size, (sxx * gy - sxy * gx) * size
-        hx, hy = (ux, uy) if isotropic else (wxx * ux + wxy * uy, wxy * ux + wyy * uy)
-        return sxx, sxy, syy, size, ux, uy, hx, hy, ux * hx + uy * hy
-
-    last = np.sqrt(tolerance)
-    m = np.zeros_like(value) if start is None else np.maximum(start, 0.5 * pole)
-    for _ in range(MAX_FOOT_STEPS):
-        sxx, sxy, syy, size, ux, uy, hx, hy, steepness = bent(m)
+        hx, hy = wxx * ux + wxy * uy, wxy * ux + wyy * uy
+        steepness = ux * hx + uy * hy
         left = value - 0.5 * m * (ux * (gx + hx) + uy * (gy + hy))
-        step = left / ((syy * hx * hx - 2 * sxy * hx * hy + sxx * hy * hy) * size)
-        # Left of the pole lie the farthest points of the ellipse; right of it F falls and is convex: Newton's steps
-        # come back from the left without fail.
-        step = np.maximum(step, 0.5 * (pole - m))
-        m = m + step
-        # The step after this one would be about its square.
-        height = np.sqrt(steepness) * weight
-        if not np.any(np.abs(step) * height > last * (1 + np.abs(m) * height)):
+        room = pole - m
+        step = np.maximum(left / ((syy * hx * hx - 2 * sxy * hx * hy + sxx * hy * hy) * size), 0.5 * room)
+        height = np.sqrt(steepness)
+        if steps == MAX_FOOT_STEPS or not np.any(step * step * height * weight > -tolerance / _QUADRATIC * room):
             break
-    _, _, _, _, ux, uy, _, _, steepness = bent(m)
-    height = np.sqrt(steepness)
-    return Feet(m, m * height * weight, m * ux, m * uy, weight / height)
+        m = m + step
+    reach = m + left / steepness
+    return Feet(m + step, reach * height * weight, reach * ux, reach * uy, weight / height)
 
 
 def _pole(axx: Array, axy: Array, ayy: Array, boundary: Boundary) -> Array:
@@ -273,9 +339,9 @@ def _pole(axx: Array, axy: Array, ayy: Array, boundary: Boundary) -> Array:
     return -0.5 / (half + np.sqrt(np.maximum(half * half - size, 0.0)))
 
 
-def monomials_at_feet(found: Feet, boundary: Boundary) -> Array:
-    """Local monomials (..., 6, N) of the feet."""
-    return _monomials(boundary.x - found.dx, boundary.y - found.dy)
+def monomials_at_feet(found: Feet, boundary: Boundary, out: Array | None = None) -> Array:
+    """Local monomials (..., 6, N) of the feet, written to `out` if that is given."""
+    return _monomials(boundary.x - found.dx, boundary.y - found.dy, out)
 
 
 def seen(planes: Array, setup: eq.Setup) -> NDArray[np.bool_]:

@@ -22,7 +22,7 @@ from planeopt.spot.points import MIN_POINTS
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-START_POINTS = 40
+START_POINTS = 32
 """Points of each spot that the start is made from."""
 
 _UNUSABLE = (Verdict.NOT_FINITE, Verdict.BAD_NOISE, Verdict.TOO_FEW, Verdict.LINE, Verdict.LINE_PAIR)
