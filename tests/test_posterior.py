@@ -336,6 +336,28 @@ def test_a_prior_that_leaves_out_the_answer_is_one_clear_line(z_L: float) -> Non
     assert sample_problem(seen(z_L=z_L, sigma_px=0.01), prior=Prior((5.0, 2000.0)), draws=200).samples.size
 
 
+def test_a_posterior_cut_off_by_a_bound_is_sampled_all_the_same() -> None:
+    """The likeliest plane is four sigmas outside: the proposals follow the posterior, not the likelihood's peak."""
+    posterior = sample_problem(seen(z_L=119.0, sigma_px=0.5, arc=0.3), draws=300)
+    assert posterior.diagnostics.stopped is Stop.CONVERGED
+    assert posterior.diagnostics.tau < 60
+    assert np.all(posterior.samples[:, 0] >= 120)
+    assert posterior.prior_dominated
+    assert "beyond the prior's bounds" in posterior.prior_effect.sentence
+
+
+def test_beta_of_two_planes_is_not_lost_between_them() -> None:
+    """Both are clearly tilted, in one direction; an ellipse over both together would hold the untilted plane."""
+    setup = eq.Setup(12.0, 160.0, 120.0, 6.0)
+    beta = math.atan2(-160.0, 120.0)
+    problem = seen(z_L=300.0, alpha=0.3, beta=beta, sigma_px=0.1, setup=setup)
+    posterior = sample_problem(problem, both_sides=True, draws=500)
+    assert len(posterior.modes) == 2
+    direction = posterior.summary("beta")
+    assert direction is not None
+    assert direction.median == pytest.approx(beta, abs=0.05)
+
+
 class Narrow:
     """A user's own prior: tilts near 30 deg."""
 

@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 
 _INTERCEPTS = ("a", "b", "c")
 
+_FEW_DRAWS = 10
+
 
 @dataclass(frozen=True, eq=False)
 class Mode:
@@ -137,8 +139,15 @@ class Posterior:
         """
         draws = self.quantities[name]
         if name == "beta":
-            return None if may_be_untilted(self.samples[:, 1:]) else circular_interval(draws)
+            return None if self._may_be_untilted else circular_interval(draws)
         return intercept_interval(draws) if name in _INTERCEPTS else interval(draws)
+
+    @property
+    def _may_be_untilted(self) -> bool:
+        """Whether one of the modes holds the untilted plane; both together would hold what lies between them."""
+        lit = self.quantities["c"] * self.quantities["normal_z"] > 0
+        modes = [self.samples[lit == mode.lit_side, 1:] for mode in self.modes]
+        return any(may_be_untilted(slopes) for slopes in modes if len(slopes) > _FEW_DRAWS)
 
     @property
     def cone(self) -> Cone:

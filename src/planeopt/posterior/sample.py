@@ -29,6 +29,10 @@ _CANDIDATES = 2000
 
 _LOOK_ROUND = 4000
 
+# Effective draws among the candidates that make a mixture good enough, draws whose moments make it better, and when to
+# leave it at that.
+_ENOUGH, _MOMENTS, _MOST_PEAKS = 100, 60, 6
+
 # A likelihood that falls by this from its top is beyond the 1e-6 quantile of chi-squared with 3 degrees of freedom.
 _BEYOND = 15.3
 
@@ -122,11 +126,8 @@ def sample_problem(
 
     peaks = _peaks(target, problem, state)
     mixture = Mixture(target, peaks, prior if isinstance(prior, Prior) else Prior())
-    candidates = mixture.draw(state, _CANDIDATES)
-    log_likelihood = target.log_likelihood(candidates)
-    log_prior = _checked(target.log_prior(candidates))
+    mixture, candidates, log_likelihood, log_prior = _fitted(target, mixture, state)
     log_weights = -mixture.log_density(candidates)
-    _refuse_excluded(target, peaks, log_likelihood, log_prior)
     start = _walkers(target, candidates, log_likelihood + log_prior + log_weights, peaks[0], state)
     run = chain.run(target, mixture, start, state, draws=draws, budget=budget, progress=progress)
 
@@ -203,6 +204,29 @@ def _peaks(target: Target, problem: Problem, state: np.random.RandomState) -> tu
     log_prior = _checked(target.log_prior(np.stack([peak.centre for peak in kept])))
     order = np.argsort(-(log_prior + [peak.height for peak in kept]), kind="stable")
     return tuple(kept[i] for i in order)
+
+
+def _fitted(target: Target, mixture: Mixture, state: np.random.RandomState) -> tuple[Mixture, Array, Array, Array]:
+    """A mixture that covers the posterior, draws from it, and their log likelihoods and log priors.
+
+    The peaks are the likelihood's. Where few of their draws count, as where a bound of the prior cuts the peak off, the
+    draws that do count say where the posterior is: a law with their moments is added, once and again.
+    """
+    first = True
+    while True:
+        candidates = mixture.draw(state, _CANDIDATES)
+        log_likelihood, log_prior = target.log_likelihood(candidates), _checked(target.log_prior(candidates))
+        if first:
+            _refuse_excluded(target, mixture.peaks, log_likelihood, log_prior)
+        log_weights = log_likelihood + log_prior - mixture.log_density(candidates)
+        weights = np.exp(log_weights - np.max(log_weights))
+        if np.sum(weights) ** 2 > _ENOUGH * np.sum(weights**2) or len(mixture.peaks) > _MOST_PEAKS:
+            return mixture, candidates, log_likelihood, log_prior
+        found = candidates[resample(state, log_weights, _MOMENTS)]
+        spread = np.cov(found, rowvar=False) + 1e-4 * mixture.peaks[0].covariance
+        root = np.asarray(np.linalg.cholesky(spread), dtype=float)
+        added = Peak(np.mean(found, axis=0), root, mixture.peaks[0].height, False)
+        mixture, first = replace(mixture, peaks=(*mixture.peaks, added)), False
 
 
 def _lit(target: Target, peak: Peak) -> bool:
