@@ -112,6 +112,18 @@ def test_one_bad_spot_costs_itself() -> None:
     assert not batch.rig_covariance[0].any()
 
 
+def test_points_that_are_no_spot_cost_themselves() -> None:
+    rng, used = np.random.default_rng(0), rig()
+    good = spot(rng, 60)
+    stray = [Spot(rng.uniform(100, 900, (50, 2)), np.full(50, s)) for s in (0.1, 1.0, 10.0)]
+    stray += [Spot(rng.uniform(100, 900, (n, 2))) for n in (5, 6, 9, 50)]
+    batch = po.solve_batch([good, *stray, good], used)
+    assert batch.status[0] is batch.status[-1] is Status.CONVERGED
+    np.testing.assert_allclose(batch.planes[0], batch.planes[-1], rtol=1e-9)
+    assert Status.CONVERGED not in batch.status[1:3]
+    assert len([row.message for row in batch]) == len(stray) + 2
+
+
 def test_no_spots_no_planes() -> None:
     batch = po.solve_batch([], rig())
     assert len(batch) == 0

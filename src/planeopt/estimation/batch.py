@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planeopt import equations as eq
-from planeopt.conic import arc_fraction, fit_conic
+from planeopt.conic import arc_fraction, fit_conic, is_ellipse
 from planeopt.errors import InputError
 from planeopt.estimation import evidence
 from planeopt.estimation.distances import Boundary
@@ -339,5 +339,8 @@ def _arcs(found: PointsSolution, points: _Points, setup: eq.Setup) -> Array:
         z_L, p, q = found.planes[rows].T
         conics = eq.image_conic_in_slopes(np, eq.SlopeVariables(None, z_L, p, q), setup)
         b = np.stack(np.broadcast_arrays(*conics), axis=-1)
-        arcs[rows] = arc_fraction(b[:, 1:] / b[:, :1], points.mm[rows, :n])
+        B = b[:, 1:] / b[:, :1]
+        # A plane found in points that are no spot's may have an ellipse that rounding opens.
+        closed = is_ellipse(B)
+        arcs[rows[closed]] = arc_fraction(B[closed], points.mm[rows[closed], :n])
     return arcs
