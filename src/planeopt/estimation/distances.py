@@ -107,8 +107,8 @@ class Boundary:
             self.origin[..., None, :],
             self.unit[..., None],
             self.monomials[..., None, :, :],
-            _with_axis(self.covariance),
-            _with_axis(self.precision),
+            _some(self.covariance, np.s_[..., None, :]),
+            _some(self.precision, np.s_[..., None, :]),
             self.weight[..., None, :] if self.weight.ndim > 1 else self.weight,
         )
 
@@ -125,11 +125,6 @@ class Boundary:
 
 def _some(parts: tuple[Array, Array, Array], rows: Any) -> tuple[Array, Array, Array]:
     first, second, third = (part[rows] if part.ndim > 1 else part for part in parts)
-    return first, second, third
-
-
-def _with_axis(parts: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-    first, second, third = (part[..., None, :] if part.ndim > 1 else part for part in parts)
     return first, second, third
 
 
