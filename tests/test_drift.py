@@ -155,7 +155,7 @@ def test_a_beam_that_moves_along_the_sequence_is_a_trend(rig: Rig) -> None:
     change = result.trend[1]
     turned = rig.with_parameters({"direction_y": rig.parameter("direction_y") + 3e-4})
     assert change.value == pytest.approx((numbers(turned) - numbers(rig))[1], abs=4.5 * change.sigma)
-    assert change.sigma < 0.2 < change.value
+    assert change.value > 3 * change.sigma
 
 
 @pytest.mark.parametrize(

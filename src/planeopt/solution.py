@@ -249,11 +249,15 @@ class RigTest:
         Its derivative by the parameters of the rig's covariance; n is 0 without one.
     by_beam : (2, 4)
         Its derivative by e_x, e_y (mm), direction_x and direction_y.
+    fineness : float
+        Standard deviation of a point over the image ellipse's shorter semi-axis and over the root of the number of
+        points: how much of a misfit is of second order, in standard deviations, over its square.
     """
 
     misfit: Array
     by_rig: Array
     by_beam: Array
+    fineness: float
 
 
 @dataclass(frozen=True)

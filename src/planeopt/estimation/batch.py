@@ -12,10 +12,11 @@ from planeopt.conic import arc_fraction, fit_conic, is_ellipse
 from planeopt.errors import InputError
 from planeopt.estimation import evidence
 from planeopt.estimation.distances import Boundary
-from planeopt.estimation.efficiency import reach, typical_sigma
+from planeopt.estimation.efficiency import reach
 from planeopt.estimation.points import STATUSES, PointsSolution, improbability, solve_points
 from planeopt.estimation.reservations import reservations
 from planeopt.estimation.rig_effect import RigEffect, rig_effect
+from planeopt.estimation.second_order import fineness, misfit_covariance, typical_sigma
 from planeopt.plane import Plane, SpotPose
 from planeopt.rig import Rig
 from planeopt.solution import Flag, RigTest, Solution, Status, Uncertainty
@@ -50,7 +51,7 @@ class BatchSolution:
         Of the planes in the camera frame.
     chi2, p_value : (M,)
         With 2 degrees of freedom: tests the rig and the points, not the plane (`planeopt.solution.Solution`).
-    misfit : (M, 2), misfit_by_rig : (M, 2, n), misfit_by_beam : (M, 2, 4)
+    misfit : (M, 2), misfit_by_rig : (M, 2, n), misfit_by_beam : (M, 2, 4), fineness : (M,)
         What chi2 is made of (`planeopt.solution.RigTest`).
     chi2_points : (M,)
         Of the points' distances, where their noise was given; not where robust.
@@ -76,6 +77,7 @@ class BatchSolution:
     misfit: Array
     misfit_by_rig: Array
     misfit_by_beam: Array
+    fineness: Array
     chi2_points: Array
     dof_points: NDArray[np.int64]
     n_points: NDArray[np.int64]
@@ -123,8 +125,11 @@ class BatchSolution:
             p_value=float(self.p_value[i]) if tested else None,
             chi2_points=float(self.chi2_points[i]) if scattered else None,
             dof_points=int(self.dof_points[i]) if scattered else None,
-            rig_test=RigTest(self.misfit[i], self.misfit_by_rig[i], self.misfit_by_beam[i]) if tested else None,
+            rig_test=self._rig_test(i) if tested else None,
         )
+
+    def _rig_test(self, i: int) -> RigTest:
+        return RigTest(self.misfit[i], self.misfit_by_rig[i], self.misfit_by_beam[i], float(self.fineness[i]))
 
     def _uncertainty(self, i: int) -> Uncertainty:
         return evidence.split(self.rig, self.planes[i], self.spot_covariance[i], self.plane_by_rig[i])
@@ -163,14 +168,15 @@ def solve_batch(spots: Sequence[Spot], rig: Rig, *, robust: float | None = None)
     effect = _effect(found, points, rig, setup)
     sigma = np.zeros((0, 0)) if rig.covariance is None else rig.covariance.matrix
     rig_covariance = effect.plane_by_rig @ sigma @ np.swapaxes(effect.plane_by_rig, 1, 2)
-    chi2, p_value = _test(found, effect, sigma, robust)
+    ratio, excess = _reach(found, points, setup)
+    fine = fineness(np.where(np.isfinite(ratio), ratio, 0.0), found.counts)
+    chi2, p_value = _test(found, effect, sigma, fine, robust)
     status = _statuses(found, p_value)
     along = found.planes - [rig.axial_shift, 0.0, 0.0]
     normal, point = rig.plane_arrays(*along.T)
     arc = _arcs(found, points, setup)
     chi2_points = np.where((found.scale_dof < 0) & (robust is None), found.cost, np.nan)
     dof_points = np.maximum(found.counts - 3, 0)
-    excess = _excess(found, points, setup)
     raised = reservations(along, found.covariance + rig_covariance, excess, arc, chi2_points, dof_points)
     return BatchSolution(
         status=status,
@@ -186,6 +192,7 @@ def solve_batch(spots: Sequence[Spot], rig: Rig, *, robust: float | None = None)
         misfit=effect.misfit,
         misfit_by_rig=effect.misfit_by_rig,
         misfit_by_beam=effect.misfit_by_beam,
+        fineness=fine,
         chi2_points=chi2_points,
         dof_points=dof_points,
         n_points=found.counts,
@@ -267,13 +274,14 @@ def _effect(found: PointsSolution, points: _Points, rig: Rig, setup: eq.Setup) -
     return RigEffect(*(spread(getattr(some, field.name)) for field in fields(RigEffect)))
 
 
-def _test(found: PointsSolution, effect: RigEffect, sigma: Array, robust: float | None) -> tuple[Array, Array]:
+def _test(
+    found: PointsSolution, effect: RigEffect, sigma: Array, fine: Array, robust: float | None
+) -> tuple[Array, Array]:
     """chi-squared with 2 degrees of freedom, the rig's covariance added to the statistic's, and its p-value; (M,)."""
     chi2 = found.chi2.copy()
     rows = np.flatnonzero(np.isfinite(effect.misfit).all(axis=1))
     if robust is None and sigma.size:
-        by_rig, misfit = effect.misfit_by_rig[rows], effect.misfit[rows]
-        spread = np.eye(2) + by_rig @ sigma @ np.swapaxes(by_rig, 1, 2)
+        misfit, spread = effect.misfit[rows], misfit_covariance(effect.misfit_by_rig[rows], sigma, fine[rows])
         chi2[rows] = np.sum(misfit * np.linalg.solve(spread, misfit[..., None])[..., 0], axis=-1)
     return chi2, improbability(chi2, found.scale_dof)
 
@@ -315,19 +323,23 @@ def _of_scale(found: PointsSolution, i: int, rig: Rig) -> Iterator[Flag]:
             yield Flag.RIG_WITHOUT_COVARIANCE
 
 
-def _excess(found: PointsSolution, points: _Points, setup: eq.Setup) -> Array:
-    """`Reach.excess` (M,) of the rows; a few at a time, since each is looked at from six planes about its own."""
-    excess = np.full(len(found), np.nan)
+def _reach(found: PointsSolution, points: _Points, setup: eq.Setup) -> tuple[Array, Array]:
+    """`Reach.sigma_over_axis` and `Reach.excess` (M,) of the rows.
+
+    A few at a time, since each is looked at from six planes about its own.
+    """
+    ratio, excess = np.full(len(found), np.nan), np.full(len(found), np.nan)
     known = np.flatnonzero(np.isfinite(found.covariance).all(axis=(1, 2)))
     longest = points.mm.shape[1]
     if not len(known):
-        return excess
+        return ratio, excess
     for rows in np.array_split(known, 1 + len(known) * longest // _REACH_POINTS):
         noise = points.noise[rows] * (found.scale[rows] ** 2)[:, None, None, None]
         boundary = Boundary.of(points.mm[rows], noise, np.arange(longest) < found.counts[rows, None])
         sigma = typical_sigma(noise)
-        excess[rows] = reach(setup, found.planes[rows], found.covariance[rows], boundary, sigma).excess
-    return excess
+        reached = reach(setup, found.planes[rows], found.covariance[rows], boundary, sigma)
+        ratio[rows], excess[rows] = reached.sigma_over_axis, reached.excess
+    return ratio, excess
 
 
 def _arcs(found: PointsSolution, points: _Points, setup: eq.Setup) -> Array:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from planeopt.errors import InputError
 from planeopt.estimation.evidence import split
+from planeopt.estimation.second_order import bend
 from planeopt.estimation.weighted_squares import weighted_chi2_sf
 from planeopt.plane import Plane, SpotPose
 from planeopt.rig import Rig
@@ -168,15 +169,19 @@ def combine(solutions: Iterable[Solution], rig: Rig, *, without_outliers: bool =
 
 @dataclass(frozen=True, eq=False)
 class _Frames:
-    """Frames that have a plane: which they are, ``y`` (n, 3), ``S`` (n, 3, 3) and ``A`` (n, 3, k)."""
+    """Frames that have a plane: which they are, ``y`` (n, 3), ``S`` (n, 3, 3) and ``A`` (n, 3, k).
+
+    ``bend`` (n,) is what the rig's covariance does to each to second order, in standard deviations of its spot.
+    """
 
     index: NDArray[np.integer]
     plane: Array
     spot: Array
     by_rig: Array
+    bend: Array
 
     def take(self, rows: NDArray[np.integer]) -> "_Frames":
-        return _Frames(self.index[rows], self.plane[rows], self.spot[rows], self.by_rig[rows])
+        return _Frames(self.index[rows], self.plane[rows], self.spot[rows], self.by_rig[rows], self.bend[rows])
 
 
 def _frames(solutions: Iterable[Solution], rig: Rig) -> tuple[_Frames, list[tuple[int, str]]]:
@@ -195,12 +200,23 @@ def _frames(solutions: Iterable[Solution], rig: Rig) -> tuple[_Frames, list[tupl
                     f"frame {index} (counted from 0) was solved with a rig of {by_rig.shape[1]} free parameters, and "
                     f"this rig has {n_free}: give the rig that the frames were solved with"
                 )
-            rows.append((index, (solution.pose.z_L, *solution.pose.slopes), u.spot, by_rig))
+            bends = _bend(solution, u.spot, by_rig, rig)
+            rows.append((index, (solution.pose.z_L, *solution.pose.slopes), u.spot, by_rig, bends))
     if not rows:
         why = f": the first is {left_out[0][1]!r}" if left_out else ""
         raise InputError(f"none of the {len(left_out)} frames has a plane to combine{why}")
-    index, plane, spot, by_rig = zip(*rows, strict=True)
-    return _Frames(np.array(index), np.array(plane), np.array(spot), np.array(by_rig)), left_out
+    index, plane, spot, by_rig, bends = zip(*rows, strict=True)
+    frames = _Frames(np.array(index), np.array(plane), np.array(spot), np.array(by_rig), np.array(bends))
+    return frames, left_out
+
+
+def _bend(solution: Solution, spot: Array, by_rig: Array, rig: Rig) -> float:
+    if rig.covariance is None or solution.rig_test is None:
+        return 0.0
+    sigma, test = rig.covariance.matrix, solution.rig_test
+    plane = np.trace(np.linalg.solve(spot, by_rig @ sigma @ by_rig.T))
+    misfit = np.trace(test.by_rig @ sigma @ test.by_rig.T)
+    return float(bend(plane + misfit, test.fineness))
 
 
 def _weighted(frames: _Frames) -> tuple[Array, Array, Array]:
@@ -252,11 +268,18 @@ def _from_the_others(frames: _Frames, sigma: Array) -> Array:
     """Squared distance (n,) of each frame from the combination of all others, over its covariance."""
     information = np.linalg.inv(frames.spot)
     weighted = np.einsum("nij,nj->ni", information, frames.plane)
-    moved = np.einsum("nij,njk->nik", information, frames.by_rig)
+    by_rig = np.einsum("nij,njk->nik", information, frames.by_rig)
     spot = np.linalg.inv(information.sum(axis=0) - information)
     step = frames.plane - np.einsum("nij,nj->ni", spot, weighted.sum(axis=0) - weighted)
-    differently = frames.by_rig - np.einsum("nij,njk->nik", spot, moved.sum(axis=0) - moved)
-    covariance = frames.spot + spot + np.einsum("nik,kl,njl->nij", differently, sigma, differently)
+    differently = frames.by_rig - np.einsum("nij,njk->nik", spot, by_rig.sum(axis=0) - by_rig)
+    apart = np.einsum("nik,kl,njl->nij", differently, sigma, differently)
+    moved = np.einsum("nik,kl,njl->nij", frames.by_rig, sigma, frames.by_rig)
+    share = np.trace(information @ apart, axis1=1, axis2=2) / np.maximum(
+        np.trace(information @ moved, axis1=1, axis2=2), np.finfo(float).tiny
+    )
+    # Frames that the rig moves alike to first order it moves alike to second order too.
+    bent = (frames.bend**2 * np.minimum(share, 1.0))[:, None, None] * frames.spot
+    covariance = frames.spot + spot + apart + bent
     return np.einsum("ni,ni->n", step, np.linalg.solve(covariance, step[..., None])[..., 0])
 
 

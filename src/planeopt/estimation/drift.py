@@ -4,7 +4,9 @@ Each image leaves two numbers that no plane can change, ``t_i``, white of unit v
 (docs/model.md, section 8). A rig that is off by ``deta`` from its file makes ``t_i = u_i - G_i deta``, and ``deta`` is
 the same in every image: stacked, ``t`` has the covariance ``I + G Sigma G'``, whose second part is common to all, so
 that the sum of the images' own chi-squareds is not chi-squared. With ``C = I + G Sigma G'``, ``t' C^-1 t`` is, with 2n
-degrees of freedom. That is split into three parts, independent where the rig is right:
+degrees of freedom. What the rig does to second order goes into each image's own variance
+(`planeopt.estimation.second_order`): with a calibration that is too uncertain for spots so small the test is less
+sharp, and says so. The statistic is split into three parts, independent where the rig is right:
 
 - what a *shift* explains, the same change of the beam in every image;
 - what a *trend* explains beyond it, a change of the beam that grows along the sequence;
@@ -23,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from planeopt.errors import InputError
 from planeopt.estimation.rig_part import SEEN
+from planeopt.estimation.second_order import bend
 from planeopt.rig import Rig
 from planeopt.solution import Solution
 
@@ -54,6 +57,9 @@ class Part(Enum):
     TREND = "The beam moves along the sequence."
     REST = "There are misfits that no change of the beam explains: the lens, the boundary points, or their sigma."
 
+
+_BLUNT = 1.0
+"""Second order, in standard deviations of an image's own misfit, from which the test has lost sharpness."""
 
 TEST_LEVEL = LEVEL / len(Part)
 """Of each part: together they are wrong no more often than `LEVEL`."""
@@ -179,7 +185,7 @@ def drift(solutions: Iterable[Solution], rig: Rig, *, positions: ArrayLike | Non
     order = np.argsort(p_values)
     worst = tuple(usable[row] for row in order if p_values[row] < LEVEL / len(used))
     state = State.OK if all(test.ok for test in tests) else State.DEGRADED
-    verdict = _verdict(state, tests, shift, trend, worst, rig)
+    verdict = _verdict(state, tests, shift, trend, worst, rig, blunt=evidence.bend > _BLUNT)
     return Drift(state, verdict, tests, shift, trend, tuple(usable), tuple(left_out), worst)
 
 
@@ -193,6 +199,8 @@ class _Evidence:
     misfit: Array
     shift: Array
     trend: Array
+    bend: float
+    """Largest second order of an image, in standard deviations."""
 
     @classmethod
     def of(cls, solutions: Sequence[Solution], rig: Rig, along: Array) -> "_Evidence":
@@ -211,8 +219,11 @@ class _Evidence:
         place = along - along.mean()
         extent = float(np.ptp(along))
         growing = by_beam * np.repeat(place / extent, 2)[:, None] if extent > 0 and len(along) > 2 else by_beam[:, :0]
-        whitened = _whitened(np.column_stack([misfit, by_beam, growing]), by_rig @ _root(sigma))
-        return cls(whitened[:, 0], whitened[:, 1:5], whitened[:, 5:])
+        fine = np.array([part.fineness for part in parts])
+        bends = _bends(by_rig, sigma, fine)
+        own = np.repeat(np.sqrt(1 + bends**2), 2)[:, None]
+        whitened = _whitened(np.column_stack([misfit, by_beam, growing]) / own, by_rig @ _root(sigma) / own)
+        return cls(whitened[:, 0], whitened[:, 1:5], whitened[:, 5:], float(bends.max()))
 
     def tests(self) -> tuple[PartTest, ...]:
         """Pooled, and its independent parts."""
@@ -298,6 +309,12 @@ def _as_normal(solution: Solution) -> float:
 _UNDERFLOW = 1e-300
 
 
+def _bends(by_rig: Array, sigma: Array, fine: Array) -> Array:
+    """Second order (n,) of the rig's effect on each image's misfits, whose derivatives are (2n, k)."""
+    moved = np.einsum("ik,kl,il->i", by_rig, sigma, by_rig).reshape(-1, 2).sum(axis=1)
+    return bend(moved, fine)
+
+
 def _root(sigma: Array) -> Array:
     return np.asarray(np.linalg.cholesky(sigma), dtype=np.float64) if sigma.size else sigma
 
@@ -335,6 +352,8 @@ def _verdict(
     trend: tuple[Change, ...],
     worst: tuple[int, ...],
     rig: Rig,
+    *,
+    blunt: bool,
 ) -> str:
     pooled, *parts = tests
     words = [f"{state.name}: {state.value}", f"Pooled: {_numbers(pooled)}."]
@@ -347,7 +366,9 @@ def _verdict(
         words.append(f"Worst: image {', '.join(str(index + 1) for index in worst)} (counted from 1).")
     if state is State.DEGRADED and rig.covariance is None:
         words.append("The rig file has no covariance: an error that the calibration itself left counts as a change.")
-    if pooled.p_value > 1 - TEST_LEVEL:
+    if blunt:
+        words.append("The calibration is too uncertain for spots so small to be tested sharply with them.")
+    elif pooled.p_value > 1 - TEST_LEVEL:
         words.append("The misfits are smaller than chance leaves them: sigma_px is too large, and the test the weaker.")
     return " ".join(words)
 

@@ -16,6 +16,7 @@ from planeopt.conic import geometric_from_conic, is_ellipse
 from planeopt.estimation.descent import at_planes, within_bounds
 from planeopt.estimation.distances import Boundary, Conics, feet
 from planeopt.estimation.reservations import slope_sigmas
+from planeopt.estimation.second_order import typical_sigma
 from planeopt.formulations.problem import Problem
 
 Array = NDArray[np.float64]
@@ -110,11 +111,6 @@ def within_reach(problem: Problem, plane: Array, covariance: Array | None = None
     boundary, planes = Boundary.of(points[None], noise[None]), np.asarray(plane, dtype=float)[None]
     given = bounds(problem.setup, planes, boundary) if covariance is None else np.asarray(covariance)[None]
     return reach(problem.setup, planes, given, boundary, typical_sigma(noise[None]))
-
-
-def typical_sigma(noise: Array) -> Array:
-    """Median standard deviations (M,) of points by their covariances (M, N, 2, 2)."""
-    return np.sqrt(np.median((noise[..., 0, 0] + noise[..., 1, 1]) / 2, axis=-1))
 
 
 def reach(setup: eq.Setup, planes: Array, covariance: Array, boundary: Boundary, sigma: Array) -> Reach:

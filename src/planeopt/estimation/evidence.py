@@ -12,6 +12,7 @@ from planeopt import equations as eq
 from planeopt.closed_form import other_plane
 from planeopt.conic import sampson_distances
 from planeopt.estimation.rig_part import Sensitivity, normal_by_rig
+from planeopt.estimation.second_order import fineness, misfit_covariance, typical_sigma
 from planeopt.formulations.problem import Problem
 from planeopt.formulations.snooping import detectability, image_misfit, space_left_by_plane, whitened_by_plane
 from planeopt.plane import Plane, SpotPose
@@ -79,9 +80,11 @@ def fit_quality(problem: Problem, plane: Array, effect: Sensitivity | None) -> F
             left_over @ np.linalg.solve(problem.B_factor, _B_by(problem, plane, moved))
             for moved in (effect.residual_by_beam, effect.residual_by_rig)
         )
-        rig_test = RigTest(statistic, by_rig, by_beam)
+        noise = np.eye(2)[None] if problem.noise is None else problem.noise
+        fine = float(fineness(float(typical_sigma(noise)) / problem.minor_axis, problem.n_points))
+        rig_test = RigTest(statistic, by_rig, by_beam, fine)
         if problem.rig.covariance is not None:
-            covariance += by_rig @ problem.rig.covariance.matrix @ by_rig.T
+            covariance = misfit_covariance(by_rig, problem.rig.covariance.matrix, fine)
     chi2 = float(statistic @ np.linalg.solve(covariance, statistic))
     p_value = float(
         scipy.stats.chi2.sf(chi2, DOF)
