@@ -13,6 +13,7 @@ from cyclopts import App, CycloptsError
 
 from planeopt import __version__
 from planeopt.cli.check import check
+from planeopt.cli.clock import now
 from planeopt.cli.compare import compare
 from planeopt.cli.demo import demo
 from planeopt.cli.messages import complain
@@ -57,6 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # As a program: an overflow in an absurd input ends in a refusal, and a line of NumPy's source would not help.
         warnings.simplefilter("ignore", RuntimeWarning)
     try:
+        now()  # NumPy looks at the environment's time too when it is imported, and breaks down over a bad one.
         status = build_app()(arguments, exit_on_error=False, print_error=False, result_action="return_value")
         sys.stdout.flush()
     except CycloptsError as error:

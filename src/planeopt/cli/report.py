@@ -1,16 +1,16 @@
 """`planeopt report`: poses with their posteriors, as a page, on paper and as JSON."""
 
-import os
+import math
 import shlex
 from collections.abc import Iterator, Sequence
 from concurrent.futures import BrokenExecutor
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 from cyclopts.types import NonNegativeInt, PositiveFloat, PositiveInt
 
+from planeopt.cli.clock import now
 from planeopt.cli.files import output_folder, spare_inputs
 from planeopt.cli.messages import report as go_through
 from planeopt.cli.messages import tables
@@ -90,7 +90,9 @@ def report(
     from planeopt.report.provenance import provenance
     from planeopt.spot import read_image
 
-    when = _now()
+    if robust is not None and not math.isfinite(robust):
+        raise InputError(f"--robust must be a finite number of degrees of freedom, not {robust}")
+    when = now()
     loaded = load_measuring_rig(rig)
     read = [*inputs, rig, *(file for file in (dark, times) if file is not None)]
     spare_inputs((output / name for name in FILES), read)
@@ -171,18 +173,6 @@ def _row(record: dict[str, Any]) -> dict[str, Any]:
             # A direction's low end is the larger number across 180 deg.
             row[f"sigma_{name}"] = (width if width >= 0 else width + 360) / 2
     return row
-
-
-def _now() -> datetime:
-    """Return the time of SOURCE_DATE_EPOCH (reproducible-builds.org) where it is set, else the clock's."""
-    epoch = os.environ.get("SOURCE_DATE_EPOCH", "").strip()
-    if not epoch:
-        return datetime.now(UTC)
-    try:
-        return datetime.fromtimestamp(int(epoch), UTC)
-    except (ValueError, OverflowError, OSError) as error:
-        wanted = "must be a whole number of seconds since 1970"
-        raise InputError(f"the environment's SOURCE_DATE_EPOCH {wanted}, not {epoch!r}") from error
 
 
 def _command(inputs: Sequence[str], values: dict[str, object], flags: dict[str, bool]) -> str:
