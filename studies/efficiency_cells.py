@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from planeopt import equations as eq
 from planeopt.estimation import solve_points
-from planeopt.estimation.distances import Boundary
 from planeopt.estimation.efficiency import bounds, reach
+from planeopt.estimation.feet import Boundary
 from planeopt.executors import ordered_map
 from studies.study import Mode
 

@@ -16,8 +16,9 @@ from planeopt.estimation.weighted_squares import weighted_chi2_sf
 from planeopt.formulations import AsPrinted
 from planeopt.plane import SpotPose
 from planeopt.rig import Rig
-from planeopt.solution import Solution, Uncertainty
+from planeopt.solution import Solution
 from planeopt.spot import Spot
+from planeopt.uncertainty import Uncertainty
 
 FAMILY = 0.001
 

@@ -10,7 +10,8 @@ from cases import WORKED, WORKED_SETUP, Array, boundary, circle, slopes
 from planeopt import equations as eq
 from planeopt.conic import sampson_distances
 from planeopt.errors import InputError
-from planeopt.estimation.distances import Boundary, distances, distances_and_derivatives, distances_from
+from planeopt.estimation.distances import distances, distances_and_derivatives, distances_from
+from planeopt.estimation.feet import Boundary
 
 PLANE = slopes(WORKED)
 EXACT = boundary(WORKED, WORKED_SETUP, circle(40))

@@ -23,9 +23,10 @@ from planeopt.formulations import (
 )
 from planeopt.formulations.snooping import detectability
 from planeopt.plane import SpotPose
-from planeopt.solution import Flag, SolveError, Status, sigmas
+from planeopt.solution import Flag, SolveError, Status
 from planeopt.solvers import Sqp
 from planeopt.spot import Spot, SpotFlag
+from planeopt.uncertainty import sigmas
 
 SIGMA = 1e-3
 

@@ -30,6 +30,7 @@ ROOMS = (
     "paper",
     "conic",
     "spot",
+    "uncertainty",
     "solution",
     "nlp",
     "closed_form",

@@ -11,7 +11,8 @@ import numpy as np
 
 from planeopt.errors import InputError
 from planeopt.plane import Plane, SpotPose
-from planeopt.solution import Sigmas, Solution
+from planeopt.solution import Solution
+from planeopt.uncertainty import Sigmas
 
 
 @dataclass(frozen=True)

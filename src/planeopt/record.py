@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from planeopt.errors import InputError
 from planeopt.plane import Plane, SpotPose
 from planeopt.rig import Mount, Rig
-from planeopt.solution import OtherPlane, Sigmas, Solution
+from planeopt.solution import OtherPlane, Solution
 from planeopt.spot import SpotNotFound
+from planeopt.uncertainty import Sigmas
 
 RecordStatus = Literal["ok", "degraded", "refused", "error"]
 """A pose; a pose with a reservation; no defensible pose; an input that cannot be used."""

@@ -11,16 +11,17 @@ from planeopt import equations as eq
 from planeopt.conic import arc_fraction, fit_conic, is_ellipse
 from planeopt.errors import InputError
 from planeopt.estimation import evidence
-from planeopt.estimation.distances import Boundary
 from planeopt.estimation.efficiency import reach
+from planeopt.estimation.feet import Boundary
 from planeopt.estimation.points import STATUSES, PointsSolution, improbability, solve_points
 from planeopt.estimation.reservations import reservations
 from planeopt.estimation.rig_effect import RigEffect, rig_effect
 from planeopt.estimation.second_order import fineness, misfit_covariance, typical_sigma
 from planeopt.plane import Plane, SpotPose
 from planeopt.rig import Rig
-from planeopt.solution import Flag, RigTest, Solution, Status, Uncertainty
+from planeopt.solution import Flag, RigTest, Solution, Status
 from planeopt.spot import Spot
+from planeopt.uncertainty import Uncertainty
 
 Array = NDArray[np.float64]
 

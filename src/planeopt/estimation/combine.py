@@ -25,7 +25,8 @@ from planeopt.estimation.second_order import bend
 from planeopt.estimation.weighted_squares import weighted_chi2_sf
 from planeopt.plane import Plane, SpotPose
 from planeopt.rig import Rig
-from planeopt.solution import Sigmas, Solution, Uncertainty, sigmas
+from planeopt.solution import Solution
+from planeopt.uncertainty import Sigmas, Uncertainty, sigmas
 
 Array = NDArray[np.float64]
 

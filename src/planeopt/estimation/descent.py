@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planeopt import equations as eq
-from planeopt.estimation.distances import FOOT_TOLERANCE, Boundary, Conics, Feet, feet, monomials_at_feet, seen
+from planeopt.estimation.distances import seen
+from planeopt.estimation.feet import FOOT_TOLERANCE, Boundary, Conics, Feet, feet, monomials_at_feet
 from planeopt.formulations.bounds import FARTHEST, STEEPEST
 
 Array = NDArray[np.float64]

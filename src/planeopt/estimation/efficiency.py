@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from planeopt import equations as eq
 from planeopt.conic import geometric_from_conic, is_ellipse
 from planeopt.estimation.descent import at_planes, within_bounds
-from planeopt.estimation.distances import Boundary, Conics, feet
+from planeopt.estimation.feet import Boundary, Conics, feet
 from planeopt.estimation.reservations import slope_sigmas
 from planeopt.estimation.second_order import typical_sigma
 from planeopt.formulations.problem import Problem

@@ -17,7 +17,8 @@ from planeopt.formulations.problem import Problem
 from planeopt.formulations.snooping import detectability, image_misfit, space_left_by_plane, whitened_by_plane
 from planeopt.plane import Plane, SpotPose
 from planeopt.rig import Rig
-from planeopt.solution import OtherPlane, Residual, RigTest, Uncertainty
+from planeopt.solution import OtherPlane, Residual, RigTest
+from planeopt.uncertainty import Uncertainty
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from planeopt import equations as eq
 from planeopt.estimation import evidence
 from planeopt.estimation.descent import Descent, Loss, at_planes, descend, solve_all, within_bounds
-from planeopt.estimation.distances import Boundary
+from planeopt.estimation.feet import Boundary
 from planeopt.estimation.sets import Sets, Starts, closed_form_starts, direct_planes, untilted_planes
 from planeopt.formulations.bounds import FARTHEST, STEEPEST
 from planeopt.solution import Status

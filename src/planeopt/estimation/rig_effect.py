@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from planeopt import equations as eq
 from planeopt.estimation.descent import at_planes
-from planeopt.estimation.distances import Boundary
+from planeopt.estimation.feet import Boundary
 from planeopt.estimation.rig_part import PARAMETERS, SEEN, axial_shift_by_rig, free_parameters, point_derivatives
 from planeopt.rig import Rig
 

@@ -12,7 +12,8 @@ from planeopt.comparison import Comparison
 from planeopt.plane import SpotPose
 from planeopt.posterior.record import PosteriorRecord
 from planeopt.record import PoseRecord, RecordStatus, SigmaRecord, Slopes, Triple, degrees, finite
-from planeopt.solution import Sigmas, Solution
+from planeopt.solution import Solution
+from planeopt.uncertainty import Sigmas
 
 FORMAT = 1
 

@@ -163,7 +163,7 @@ class Spot:
                     f"spot: sigma must have one value for each of the {len(points)} points, not {sigma.shape}"
                 )
             if not np.all(sigma > 0):
-                raise InputError(f"spot: sigma must be positive, but is {sigma.min()!r} at point {int(sigma.argmin())}")
+                raise InputError(f"spot: sigma must be positive, but is {sigma.min():g} at point {int(sigma.argmin())}")
             object.__setattr__(self, "sigma", sigma)
         if self.kind not in (None, "disc", "ring"):
             raise InputError(f'spot: kind must be "disc" or "ring", not {self.kind!r}')
