@@ -35,6 +35,7 @@ _FEW_BAD = 0.02  # of them: fewer do no harm
 _LAST_STEPS = 3  # from the solution on some of the pixels, with all of them
 _ROUGHLY = 4.0  # times further off than in the last round the profile of a curved boundary may be before
 _CLEAN = 0.95  # of a rough start's normals showed the boundary: it is whole
+_FAR = 0.5  # of the width: from further off a fit with all free may end elsewhere
 _SETTLED = 0.1  # of the width: an ellipse that moves less is the same
 _SOME = 2500  # pixels: enough for a start
 _FEWEST = 60  # pixels that a spot is told by
@@ -128,8 +129,11 @@ def fit_in_rounds(view: View, state: State) -> BandFit:
     while not settled and turn < _ROUNDS:
         before = state
         state = _improved(view, state)
-        moved = before.outline.distance_to(state.outline)
-        settled = not before.rough and moved < _SETTLED * state.model.widths.mean
+        moved = before.outline.distance_to(state.outline) / state.model.widths.mean
+        settled = not before.rough and moved < _SETTLED
+        if turn == 0 and not before.rough and moved > _FAR:
+            # A start that was not what it seemed (of a clipped plateau it is not): again, with little free.
+            state = replace(before, rough=True)
         turn += 1
     return _fit(view, state, last=True)
 

@@ -14,7 +14,7 @@ Mask = NDArray[np.bool_]
 
 _CHANCE = 1e-6  # of a sign where there is none
 _SHARP = 0.7  # px: a profile narrower than that is not a blurred edge's
-_MOST = 2000  # pixels that are looked at
+_MOST = 3000  # pixels that are looked at
 
 
 def level_dependence(band: Band, terms: Terms, model: Model, seen: Seen, usable: Mask, good: Mask) -> float:
