@@ -33,6 +33,9 @@ Array = NDArray[np.float64]
 LEVEL = 1e-3
 """How often frames that do agree are said to scatter, and how often one or more of them is called an outlier."""
 
+_TAIL = 9 / np.sqrt(3)
+"""Second order of a rig three standard deviations off, over its root mean square: no outlier is made of that."""
+
 
 class Agreement(Enum):
     """How the frames stand to each other; the value is the sentence a user reads."""
@@ -130,7 +133,9 @@ def combine(solutions: Iterable[Solution], rig: Rig, *, without_outliers: bool =
         Leave the outliers out of the plane; otherwise they are only named. An outlier is a frame whose squared
         distance from the combination of the others, over its covariance, is beyond the quantile of chi-squared with 3
         degrees of freedom that one is beyond with probability ``LEVEL / n``; the worst is taken away first, then the
-        others are looked at again, as long as a majority is left. Two frames have none.
+        others are looked at again, as long as a majority is left. Two frames have none. What a rig three standard
+        deviations off does to second order (`planeopt.estimation.second_order`), to frames that it moves differently,
+        makes none.
 
     Returns
     -------
@@ -279,7 +284,7 @@ def _from_the_others(frames: _Frames, sigma: Array) -> Array:
         np.trace(information @ moved, axis1=1, axis2=2), np.finfo(float).tiny
     )
     # Frames that the rig moves alike to first order it moves alike to second order too.
-    bent = (frames.bend**2 * np.minimum(share, 1.0))[:, None, None] * frames.spot
+    bent = ((_TAIL * frames.bend) ** 2 * np.minimum(share, 1.0))[:, None, None] * frames.spot
     covariance = frames.spot + spot + apart + bent
     return np.einsum("ni,ni->n", step, np.linalg.solve(covariance, step[..., None])[..., 0])
 

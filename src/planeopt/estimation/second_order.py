@@ -5,7 +5,8 @@ boundary leaves ``delta^2 sin^2 / 2R`` beside what the derivatives say: 1 px of 
 is 0.01 px, no less than the noise of a good measurement. Of N points with standard deviation ``sigma``, a shift that
 costs a misfit ``t``, in standard deviations, is ``delta^2 = 2 t^2 sigma^2 / N``; its second order has the length
 ``sqrt(3/8) t^2 sigma / (R sqrt(N))``, and for normal ``t`` of mean square ``T`` the mean square
-``9/8 (T sigma)^2 / (R^2 N)``. Its direction is not known: it is counted in all.
+``9/8 (T sigma)^2 / (R^2 N)``. It is a change of the ellipse's size and shape, three ways: a third of it is counted in
+each.
 """
 
 from typing import Any
@@ -14,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+_WAYS = 3  # of change of an ellipse about its centre
 
 
 def typical_sigma(noise: Array) -> Array:
@@ -27,7 +30,7 @@ def fineness(sigma_over_axis: Array | float, n_points: NDArray[Any] | int) -> Ar
 
 
 def bend(moved: Array | float, fine: Array | float) -> Array:
-    """Return the second order's root mean square, in standard deviations.
+    """Return the second order's root mean square in each way of change, in standard deviations.
 
     Parameters
     ----------
@@ -36,7 +39,7 @@ def bend(moved: Array | float, fine: Array | float) -> Array:
     fine : (...)
         See `fineness`.
     """
-    return np.asarray(np.sqrt(9 / 8) * moved * fine, dtype=np.float64)
+    return np.asarray(np.sqrt(9 / 8 / _WAYS) * moved * fine, dtype=np.float64)
 
 
 def misfit_covariance(by_rig: Array, covariance: Array, fine: Array | float) -> Array:
