@@ -48,12 +48,16 @@ class PartRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class ChangeRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How far one of the four numbers that images see is from the rig file, or how it changes along the sequence."""
+    """How far a number of the beam is from the rig's file, or has changed from the first image to the last."""
 
     name: str
     unit: str
     value: float
     sigma: float
+
+    @classmethod
+    def of(cls, change: Change) -> "ChangeRecord":
+        return cls(name=change.name, unit=change.unit, value=change.value, sigma=change.sigma)
 
 
 class CheckRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -146,8 +150,8 @@ def check(tested: Sequence[Tested], rig: Rig, positions: Positions, rig_name: st
         dof=None if found.chi2 is None else found.dof,
         p_value=finite(found.p_value),
         tests=tuple(map(_test_record, found.tests)),
-        shift=tuple(map(_change_record, found.shift)),
-        trend=tuple(map(_change_record, found.trend)),
+        shift=tuple(map(ChangeRecord.of, found.shift)),
+        trend=tuple(map(ChangeRecord.of, found.trend)),
         worst=tuple(tested[rows[index]].input for index in found.worst),
         images=tuple(
             _image_record(image.record, position, used=row in used)
@@ -174,10 +178,6 @@ def _test_record(test: PartTest) -> PartRecord:
         ok=test.ok,
         message="Within what chance explains." if test.ok else test.part.value,
     )
-
-
-def _change_record(change: Change) -> ChangeRecord:
-    return ChangeRecord(name=change.name, unit=change.unit, value=change.value, sigma=change.sigma)
 
 
 def _image_record(record: PoseRecord, position: float, *, used: bool) -> ImageRecord:

@@ -163,8 +163,8 @@ def from_solution(name: str, solution: Solution, rig: Rig | None = None) -> Pose
         formulation=solution.formulation,
         solver=solution.solver,
         **_pose(pose),
-        normal=None if plane is None else _triple(plane.normal),
-        point_mm=None if plane is None else _triple(plane.point),
+        normal=None if plane is None else triple(plane.normal),
+        point_mm=None if plane is None else triple(plane.point),
         intercepts_mm=Intercepts() if plane is None else _intercepts(plane),
         slopes=Slopes(p=finite(slopes[0]), q=finite(slopes[1])),
         sigma=_sigma(solution.sigma),
@@ -214,8 +214,8 @@ def _other_plane(other: OtherPlane | None) -> OtherPlaneRecord | None:
         return None
     return OtherPlaneRecord(
         **_pose(other.pose),
-        normal=_triple(other.plane.normal),
-        point_mm=_triple(other.plane.point),
+        normal=triple(other.plane.normal),
+        point_mm=triple(other.plane.point),
         reason=other.reason,
     )
 
@@ -227,8 +227,8 @@ def mounted(mount: Mount | None, plane: Plane | None) -> MountRecord | None:
     there = mount.carry(plane)
     return MountRecord(
         frame=mount.frame,
-        normal=_triple(there.normal),
-        point_mm=_triple(there.point),
+        normal=triple(there.normal),
+        point_mm=triple(there.point),
         d_mm=float(there.normal @ there.point),
     )
 
@@ -255,11 +255,12 @@ def _sigma(sigma: Sigmas | None) -> SigmaRecord:
 def _covariance(covariance: NDArray[np.floating] | None) -> CovarianceRecord:
     if covariance is None or not np.all(np.isfinite(covariance)):
         return CovarianceRecord()
-    z_L, p, q = (_triple(row) for row in covariance)
+    z_L, p, q = (triple(row) for row in covariance)
     return CovarianceRecord(matrix=(z_L, p, q))
 
 
-def _triple(vector: NDArray[np.floating]) -> Triple:
+def triple(vector: NDArray[np.floating]) -> Triple:
+    """Return a vector (3,) as JSON can hold it."""
     x, y, z = vector.tolist()
     return x, y, z
 

@@ -167,7 +167,7 @@ def solve_batch(spots: Sequence[Spot], rig: Rig, *, robust: float | None = None)
     known = np.array([spot.sigma is not None for spot in spots], dtype=bool)
     found = solve_points(points.mm, points.noise, setup, counts=points.counts, robust=robust, scale_known=known)
     effect = _effect(found, points, rig, setup)
-    sigma = np.zeros((0, 0)) if rig.covariance is None else rig.covariance.matrix
+    sigma = rig.covariance_matrix
     rig_covariance = effect.plane_by_rig @ sigma @ np.swapaxes(effect.plane_by_rig, 1, 2)
     ratio, excess = _reach(found, points, setup)
     fine = fineness(np.where(np.isfinite(ratio), ratio, 0.0), found.counts)

@@ -147,7 +147,7 @@ def combine(solutions: Iterable[Solution], rig: Rig, *, without_outliers: bool =
         If no frame has a plane with a covariance, or a frame was solved with a rig of other free parameters.
     """
     frames, left_out = _frames(solutions, rig)
-    sigma = np.zeros((0, 0)) if rig.covariance is None else rig.covariance.matrix
+    sigma = rig.covariance_matrix
     found = _outliers(frames, sigma)
     outliers = tuple(int(frames.index[row]) for row in found)
     if without_outliers and outliers:

@@ -210,7 +210,7 @@ class _Evidence:
             np.concatenate([np.asarray(getattr(part, name)) * scale for part, scale in zip(parts, scales, strict=True)])
             for name in ("misfit", "by_beam", "by_rig")
         )
-        sigma = np.zeros((0, 0)) if rig.covariance is None else rig.covariance.matrix
+        sigma = rig.covariance_matrix
         if len(sigma) != by_rig.shape[1]:
             raise InputError(
                 f"the images were solved with a rig of {by_rig.shape[1]} free parameters, and this rig has "
@@ -222,7 +222,9 @@ class _Evidence:
         fine = np.array([part.fineness for part in parts])
         bends = _bends(by_rig, sigma, fine)
         own = np.repeat(np.sqrt(1 + bends**2), 2)[:, None]
-        whitened = _whitened(np.column_stack([misfit, by_beam, growing]) / own, by_rig @ _root(sigma) / own)
+        whitened = _whitened(
+            np.column_stack([misfit, by_beam, growing]) / own, by_rig @ np.linalg.cholesky(sigma) / own
+        )
         return cls(whitened[:, 0], whitened[:, 1:5], whitened[:, 5:], float(bends.max()))
 
     def tests(self) -> tuple[PartTest, ...]:
@@ -313,10 +315,6 @@ def _bends(by_rig: Array, sigma: Array, fine: Array) -> Array:
     """Second order (n,) of the rig's effect on each image's misfits, whose derivatives are (2n, k)."""
     moved = np.einsum("ik,kl,il->i", by_rig, sigma, by_rig).reshape(-1, 2).sum(axis=1)
     return bend(moved, fine)
-
-
-def _root(sigma: Array) -> Array:
-    return np.asarray(np.linalg.cholesky(sigma), dtype=np.float64) if sigma.size else sigma
 
 
 def _whitened(columns: Array, common: Array) -> Array:

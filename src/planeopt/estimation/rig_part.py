@@ -33,15 +33,12 @@ class Sensitivity:
         raw pixels held fixed.
     plane_by_rig : (3, n)
         ``(z_L, p, q)`` with ``z_L`` along the beam.
-    normal_by_rig : (3, n)
-        Unit normal in the camera frame.
     residual_by_beam : (N, 4)
         As ``residual_by_rig``, by `SEEN`, whether the covariance has them or not.
     """
 
     residual_by_rig: Array
     plane_by_rig: Array
-    normal_by_rig: Array
     residual_by_beam: Array
 
 
@@ -67,17 +64,13 @@ def sensitivity(problem: Problem, rig: Rig, plane: Array) -> Sensitivity:
     """
     if problem.pixels is None or problem.noise is None:
         raise ValueError("the rig's part needs boundary points in pixels")
-    nominal = np.array([rig.parameter(name) for name in PARAMETERS])
-    choice = free_parameters(rig)
     normalised = np.asarray(rig.camera.normalise(problem.pixels)[0])
     by_plane, by_all = point_derivatives(rig, normalised, problem.noise, np.broadcast_to(plane, (len(normalised), 3)))
-    by_rig = by_all @ choice
+    by_rig = by_all @ free_parameters(rig)
     step = -np.asarray(np.linalg.lstsq(by_plane, by_rig, rcond=None)[0], dtype=float)
-    shift_by_rig, normal_by_plane, normal_by_rig = (np.asarray(m) for m in _outputs()(plane, nominal))
     along_beam = step.copy()
-    along_beam[0] -= (shift_by_rig @ choice)[0]
-    normal = normal_by_plane @ step + normal_by_rig @ choice
-    return Sensitivity(by_rig, along_beam, normal, by_all @ _choice(SEEN))
+    along_beam[0] -= axial_shift_by_rig(rig)
+    return Sensitivity(by_rig, along_beam, by_all @ _choice(SEEN))
 
 
 def point_derivatives(rig: Rig, normalised: Array, noise: Array, planes: Array) -> tuple[Array, Array]:

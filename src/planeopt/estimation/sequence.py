@@ -216,7 +216,7 @@ class _Frames:
             np.array(normals).reshape(-1, 3),
             np.array([part.normal_spot for part in parts]).reshape(-1, 3, 3),
             np.array([none if part.normal_by_rig is None else part.normal_by_rig for part in parts]),
-            np.zeros((0, 0)) if rig.covariance is None else rig.covariance.matrix,
+            rig.covariance_matrix,
         )
 
     def of_plane(self, per: str) -> tuple[Trend, ...]:

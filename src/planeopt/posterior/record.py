@@ -9,13 +9,13 @@ from collections.abc import Callable
 from typing import Literal
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from planeopt.posterior.diagnostics import Diagnostics
 from planeopt.posterior.result import Mode, Posterior
 from planeopt.posterior.summary import Interval, Split
-from planeopt.record import finite
-
-Triple = tuple[float, float, float]
+from planeopt.record import Triple, finite, triple
 
 
 class IntervalRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -158,7 +158,7 @@ def posterior_record(posterior: Posterior) -> PosteriorRecord:
         normal_deg=ConeRecord(
             axis=cone.axis, radius68=math.degrees(cone.radius68), radius95=math.degrees(cone.radius95)
         ),
-        covariance=_matrix(posterior.covariance.tolist()),
+        covariance=_matrix(posterior.covariance),
         split=SplitsRecord(
             z_L_mm=_split(parts["z_L"]),
             p=_split(parts["p"]),
@@ -166,8 +166,8 @@ def posterior_record(posterior: Posterior) -> PosteriorRecord:
             normal_deg=_split(parts["normal"], math.degrees),
         ),
         laplace=LaplaceRecord(
-            plane=None if laplace is None else _triple(laplace.plane.tolist()),
-            matrix=None if laplace is None else _matrix(laplace.covariance.tolist()),
+            plane=None if laplace is None else triple(laplace.plane),
+            matrix=None if laplace is None else _matrix(laplace.covariance),
             agrees=posterior.agrees,
             sentence=posterior.agreement,
         ),
@@ -200,7 +200,7 @@ def _split(of: Split, unit: Callable[[float], float] = float) -> SplitRecord:
 
 
 def _mode(mode: Mode) -> ModeRecord:
-    return ModeRecord(weight=mode.weight, error=mode.error, plane=_triple(mode.plane.tolist()), lit_side=mode.lit_side)
+    return ModeRecord(weight=mode.weight, error=mode.error, plane=triple(mode.plane), lit_side=mode.lit_side)
 
 
 def _diagnostics(of: Diagnostics) -> DiagnosticsRecord:
@@ -223,11 +223,6 @@ def _diagnostics(of: Diagnostics) -> DiagnosticsRecord:
     )
 
 
-def _triple(values: list[float]) -> Triple:
-    x, y, z = values
-    return x, y, z
-
-
-def _matrix(rows: list[list[float]]) -> tuple[Triple, Triple, Triple]:
-    first, second, third = (_triple(row) for row in rows)
+def _matrix(rows: NDArray[np.floating]) -> tuple[Triple, Triple, Triple]:
+    first, second, third = (triple(row) for row in rows)
     return first, second, third

@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from planeopt.check import ChangeRecord
 from planeopt.comparison import Comparison
 from planeopt.plane import SpotPose
 from planeopt.posterior.record import PosteriorRecord
@@ -102,15 +103,6 @@ class PartRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     chi2: float
     dof: int
     p_value: float
-
-
-class ChangeRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How far a number of the beam is from the rig's file, or has changed from the first image to the last."""
-
-    name: str
-    unit: str
-    value: float
-    sigma: float
 
 
 class DriftRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -3,13 +3,13 @@
 from collections import Counter
 from collections.abc import Sequence
 
+from planeopt.check import ChangeRecord
 from planeopt.estimation.combine import Combined, combine
-from planeopt.estimation.drift import Change, Drift, drift
+from planeopt.estimation.drift import Drift, drift
 from planeopt.estimation.sequence import Positions, Sequenced, trends
-from planeopt.record import SigmaRecord, Slopes, Triple, degrees, finite
+from planeopt.record import SigmaRecord, Slopes, degrees, finite, triple
 from planeopt.report.examine import Examined
 from planeopt.report.record import (
-    ChangeRecord,
     CombinedRecord,
     DriftRecord,
     PartRecord,
@@ -62,13 +62,9 @@ def _drift(found: Drift) -> DriftRecord:
             PartRecord(part=test.part.name.lower(), chi2=test.chi2, dof=test.dof, p_value=test.p_value)
             for test in found.tests
         ),
-        shift=_changes(found.shift),
-        trend=_changes(found.trend),
+        shift=tuple(map(ChangeRecord.of, found.shift)),
+        trend=tuple(map(ChangeRecord.of, found.trend)),
     )
-
-
-def _changes(found: Sequence[Change]) -> tuple[ChangeRecord, ...]:
-    return tuple(ChangeRecord(name=one.name, unit=one.unit, value=one.value, sigma=one.sigma) for one in found)
 
 
 def _combined(found: Combined) -> CombinedRecord:
@@ -84,8 +80,8 @@ def _combined(found: Combined) -> CombinedRecord:
         beta_deg=degrees(pose.beta),
         R_mm=finite(pose.R),
         slopes=Slopes(p=finite(p), q=finite(q)),
-        normal=_triple(found.plane.normal.tolist()),
-        point_mm=_triple(found.plane.point.tolist()),
+        normal=triple(found.plane.normal),
+        point_mm=triple(found.plane.point),
         sigma=SigmaRecord(
             z_L_mm=finite(sigma.z_L),
             alpha_deg=degrees(sigma.alpha),
@@ -120,8 +116,3 @@ def _sequence(found: Sequenced, positions: Positions) -> SequenceRecord:
             for trend in found.trends
         ),
     )
-
-
-def _triple(values: list[float]) -> Triple:
-    x, y, z = values
-    return x, y, z

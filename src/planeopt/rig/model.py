@@ -107,6 +107,11 @@ class Rig:
         return self.beam
 
     @property
+    def covariance_matrix(self) -> FloatArray:
+        """Covariance (n, n) of the free parameters, px, mm and 1; (0, 0) where the rig has none."""
+        return np.zeros((0, 0)) if self.covariance is None else self.covariance.matrix
+
+    @property
     def focal_length(self) -> float:
         """Distance f of the laser-parallel image plane, mm: fx * pixel_pitch_mm.
 
