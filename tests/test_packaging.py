@@ -30,6 +30,7 @@ ROOMS = (
     "paper",
     "conic",
     "spot",
+    "board",
     "uncertainty",
     "solution",
     "nlp",
