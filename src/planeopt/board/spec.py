@@ -148,15 +148,12 @@ class Board:
     @cached_property
     def printed(self) -> NDArray[np.bool_]:
         """Which corners (K,) are there: not under the window, nor on its edge, where a square is missing."""
-        if self.window_mm is None:
-            seen = np.ones(len(self.corners), dtype=bool)
-        else:
+        seen = np.ones(len(self.corners), dtype=np.bool_)
+        if self.window_mm is not None:
             x, y, width, height = self.window_mm
             slack = _ROUNDING * min(self.square_mm)
-            inside = (self.corners >= np.array([x, y]) - slack) & (
-                self.corners <= np.array([x + width, y + height]) + slack
-            )
-            seen = ~inside.all(axis=1)
+            past = self.corners - np.array([x, y])
+            seen[np.all((past >= -slack) & (past <= np.array([width, height]) + slack), axis=1)] = False
         seen.setflags(write=False)
         return seen
 
