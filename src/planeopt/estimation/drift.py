@@ -24,15 +24,12 @@ import scipy.stats
 from numpy.typing import ArrayLike, NDArray
 
 from planeopt.errors import InputError
-from planeopt.estimation.rig_part import SEEN
-from planeopt.estimation.second_order import bend
+from planeopt.estimation.misfits import LEVEL, TEST_LEVEL, Change, Misfits, Part, PartTest
+from planeopt.estimation.second_order import image_bends
 from planeopt.rig import Rig
 from planeopt.solution import Solution
 
 Array = NDArray[np.float64]
-
-LEVEL = 1e-3
-"""How often a rig that is as calibrated is called degraded."""
 
 BLIND = (
     "No image of a plane can test the focal length, the scale (radius and offset together), or the principal point "
@@ -49,44 +46,8 @@ class State(Enum):
     UNTESTED = "No image could be used to test the rig."
 
 
-class Part(Enum):
-    """What is tested; the value says what it means where it fails."""
-
-    POOLED = "The images together contradict the rig."
-    SHIFT = "The beam is not where the rig file has it."
-    TREND = "The beam moves along the sequence."
-    REST = "There are misfits that no change of the beam explains: the lens, the boundary points, or their sigma."
-
-
 _BLUNT = 1.0
 """Second order, in standard deviations of an image's own misfit, from which the test has lost sharpness."""
-
-TEST_LEVEL = LEVEL / len(Part)
-"""Of each part: together they are wrong no more often than `LEVEL`."""
-
-
-@dataclass(frozen=True)
-class PartTest:
-    """One part of the evidence; ``p_value`` is how often a right rig does worse."""
-
-    part: Part
-    chi2: float
-    dof: int
-    p_value: float
-
-    @property
-    def ok(self) -> bool:
-        return self.p_value >= TEST_LEVEL
-
-
-@dataclass(frozen=True)
-class Change:
-    """How far something the images see is from the rig file; ``sigma`` has the calibration's own share in it."""
-
-    name: str
-    unit: str
-    value: float
-    sigma: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,123 +139,34 @@ def drift(solutions: Iterable[Solution], rig: Rig, *, positions: ArrayLike | Non
     if not usable:
         return Drift(State.UNTESTED, _untested(left_out), (), (), (), (), tuple(left_out), ())
     used = [given[index] for index in usable]
-    evidence = _Evidence.of(used, rig, along[usable])
+    evidence, bend = _evidence(used, rig, along[usable])
     tests = evidence.tests()
     shift, trend = evidence.changes(rig)
     p_values = np.array([solution.p_value for solution in used])
     order = np.argsort(p_values)
     worst = tuple(usable[row] for row in order if p_values[row] < LEVEL / len(used))
     state = State.OK if all(test.ok for test in tests) else State.DEGRADED
-    verdict = _verdict(state, tests, shift, trend, worst, rig, blunt=evidence.bend > _BLUNT)
+    verdict = _verdict(state, tests, shift, trend, worst, rig, blunt=bend > _BLUNT)
     return Drift(state, verdict, tests, shift, trend, tuple(usable), tuple(left_out), worst)
 
 
-@dataclass(frozen=True, eq=False)
-class _Evidence:
-    """Whitened by ``C``: misfits (2n,), what a change of the beam makes of them (2n, 4), and of one that grows.
-
-    ``trend`` has no columns where there is nothing for a trend to be seen in.
-    """
-
-    misfit: Array
-    shift: Array
-    trend: Array
-    bend: float
-    """Largest second order of an image, in standard deviations."""
-
-    @classmethod
-    def of(cls, solutions: Sequence[Solution], rig: Rig, along: Array) -> "_Evidence":
-        parts = [solution.rig_test for solution in solutions if solution.rig_test is not None]
-        scales = [_as_normal(solution) for solution in solutions]
-        misfit, by_beam, by_rig = (
-            np.concatenate([np.asarray(getattr(part, name)) * scale for part, scale in zip(parts, scales, strict=True)])
-            for name in ("misfit", "by_beam", "by_rig")
-        )
-        sigma = rig.covariance_matrix
-        if len(sigma) != by_rig.shape[1]:
-            raise InputError(
-                f"the images were solved with a rig of {by_rig.shape[1]} free parameters, and this rig has "
-                f"{len(sigma)}: give the rig that they were solved with"
-            )
-        place = along - along.mean()
-        extent = float(np.ptp(along))
-        growing = by_beam * np.repeat(place / extent, 2)[:, None] if extent > 0 and len(along) > 2 else by_beam[:, :0]
-        fine = np.array([part.fineness for part in parts])
-        bends = _bends(by_rig, sigma, fine)
-        own = np.repeat(np.sqrt(1 + bends**2), 2)[:, None]
-        whitened = _whitened(
-            np.column_stack([misfit, by_beam, growing]) / own, by_rig @ np.linalg.cholesky(sigma) / own
-        )
-        return cls(whitened[:, 0], whitened[:, 1:5], whitened[:, 5:], float(bends.max()))
-
-    def tests(self) -> tuple[PartTest, ...]:
-        """Pooled, and its independent parts."""
-        shift = _basis(self.shift)
-        trend = _basis(self.trend - shift @ (shift.T @ self.trend))
-        total = float(self.misfit @ self.misfit)
-        by_shift, by_trend = (float(np.sum((basis.T @ self.misfit) ** 2)) for basis in (shift, trend))
-        dof = len(self.misfit)
-        parts = [
-            (Part.POOLED, total, dof),
-            (Part.SHIFT, by_shift, shift.shape[1]),
-            (Part.TREND, by_trend, trend.shape[1]),
-            (Part.REST, max(total - by_shift - by_trend, 0.0), dof - shift.shape[1] - trend.shape[1]),
-        ]
-        return tuple(
-            PartTest(part, chi2, n, float(scipy.stats.chi2.sf(chi2, n)))
-            for part, chi2, n in parts
-            if n > 0 and not (part is Part.SHIFT and n == dof)
-        )
-
-    def changes(self, rig: Rig) -> tuple[tuple[Change, ...], tuple[Change, ...]]:
-        """Shift, and trend from the first image to the last, where all four numbers are fixed."""
-        if _basis(self.shift).shape[1] < len(SEEN):
-            return (), ()
-        to_seen = _seen_by_beam(rig)
-        shift = _changes(self.shift, self.misfit, to_seen)
-        both = np.column_stack([self.shift, self.trend])
-        if not self.trend.shape[1] or _basis(both).shape[1] < both.shape[1]:
-            return shift, ()
-        return shift, _changes(both, self.misfit, np.column_stack([np.zeros((4, 4)), to_seen]))
-
-
-_NAMES = (
-    ("vanishing point x", "px"),
-    ("vanishing point y", "px"),
-    ("offset over radius, x", "1"),
-    ("offset over radius, y", "1"),
-)
-
-
-def _changes(columns: Array, misfit: Array, to_seen: Array) -> tuple[Change, ...]:
-    """Least squares of ``misfit = -columns @ change``, carried to the four numbers."""
-    size = np.linalg.norm(columns, axis=0)
-    inverse = np.linalg.pinv(columns / size) / size[:, None]
-    carried = to_seen @ inverse
-    values, sigmas = -carried @ misfit, np.linalg.norm(carried, axis=1)
-    return tuple(
-        Change(name, unit, float(value), float(sigma))
-        for (name, unit), value, sigma in zip(_NAMES, values, sigmas, strict=True)
+def _evidence(solutions: Sequence[Solution], rig: Rig, along: Array) -> tuple[Misfits, float]:
+    """Return the images' misfits, and the largest second order of an image, in standard deviations."""
+    parts = [solution.rig_test for solution in solutions if solution.rig_test is not None]
+    scales = [_as_normal(solution) for solution in solutions]
+    misfit, by_beam, by_rig = (
+        np.concatenate([np.asarray(getattr(part, name)) * scale for part, scale in zip(parts, scales, strict=True)])
+        for name in ("misfit", "by_beam", "by_rig")
     )
-
-
-def _seen(rig: Rig) -> Array:
-    """Vanishing point in an undistorted image, px, and offset over radius in the laser-parallel frame."""
-    beam, camera = rig.require_beam(), rig.camera
-    l_x, l_y, l_z = beam.direction
-    offset = np.array(rig.laser_offset) / beam.radius
-    return np.array([camera.cx + camera.fx * l_x / l_z, camera.cy + camera.fy * l_y / l_z, *offset])
-
-
-def _seen_by_beam(rig: Rig) -> Array:
-    """Derivative (4, 4) of `_seen` by `SEEN`, by central differences: the functions are smooth and of size 1."""
-    columns = []
-    for name in SEEN:
-        value = rig.parameter(name)
-        step = 1e-5 * (1.0 if name.startswith("direction") else rig.require_beam().radius)
-        ahead, behind = (rig.with_parameters({name: value + sign * step}) for sign in (1, -1))
-        columns.append((_seen(ahead) - _seen(behind)) / (2 * step))
-    return np.stack(columns, axis=1)
+    sigma = rig.covariance_matrix
+    if len(sigma) != by_rig.shape[1]:
+        raise InputError(
+            f"the images were solved with a rig of {by_rig.shape[1]} free parameters, and this rig has "
+            f"{len(sigma)}: give the rig that they were solved with"
+        )
+    bends = image_bends(by_rig, sigma, np.array([part.fineness for part in parts]))
+    own = np.sqrt(1 + bends**2)
+    return Misfits.of(misfit, by_beam, by_rig, sigma, along, own), float(bends.max())
 
 
 def _as_normal(solution: Solution) -> float:
@@ -309,33 +181,6 @@ def _as_normal(solution: Solution) -> float:
 
 
 _UNDERFLOW = 1e-300
-
-
-def _bends(by_rig: Array, sigma: Array, fine: Array) -> Array:
-    """Second order (n,) of the rig's effect on each image's misfits, whose derivatives are (2n, k)."""
-    moved = np.einsum("ik,kl,il->i", by_rig, sigma, by_rig).reshape(-1, 2).sum(axis=1)
-    return bend(moved, fine)
-
-
-def _whitened(columns: Array, common: Array) -> Array:
-    """``C^-1/2`` times columns, ``C = I + common common'``."""
-    if not common.shape[1]:
-        return columns
-    left, size, _ = np.linalg.svd(common, full_matrices=False)
-    return columns + left @ ((1 / np.sqrt(1 + size**2) - 1)[:, None] * (left.T @ columns))
-
-
-def _basis(columns: Array) -> Array:
-    """Orthonormal basis (m, rank) of what columns of any unit span."""
-    size = np.linalg.norm(columns, axis=0)
-    if not columns.shape[1] or not size.any():
-        return columns[:, :0]
-    left, values, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
-    return left[:, values > _DEFICIENT * values[0]]
-
-
-_DEFICIENT = 1e-6
-"""Singular values below this share of the largest are rounding: columns have unit length."""
 
 
 def _untested(left_out: list[tuple[int, str]]) -> str:

@@ -42,6 +42,12 @@ def bend(moved: Array | float, fine: Array | float) -> Array:
     return np.asarray(np.sqrt(9 / 8 / _WAYS) * moved * fine, dtype=np.float64)
 
 
+def image_bends(by_rig: Array, covariance: Array, fine: Array) -> Array:
+    """Return the second order (n,) of the rig's effect on each image's two misfits, whose derivatives are (2n, k)."""
+    moved = np.einsum("ik,kl,il->i", by_rig, covariance, by_rig).reshape(-1, 2).sum(axis=1)
+    return bend(moved, fine)
+
+
 def misfit_covariance(by_rig: Array, covariance: Array, fine: Array | float) -> Array:
     """Return the covariance (..., 2, 2) of the two misfits of an image that test the rig.
 
