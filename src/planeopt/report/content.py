@@ -108,11 +108,12 @@ class Section:
     title: str
     blocks: tuple[Block, ...]
     tone: Tone = "plain"
+    flows: bool = False
 
     @property
     def long(self) -> bool:
-        """Whether it deserves pages of its own: it has figures."""
-        return any(isinstance(block, Figure) for block in self.blocks)
+        """Whether it deserves pages of its own: it has figures, and is not to flow on after what is before it."""
+        return not self.flows and any(isinstance(block, Figure) for block in self.blocks)
 
 
 @dataclass(frozen=True)

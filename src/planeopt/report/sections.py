@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from planeopt.report import tables
+from planeopt.report.cells import facts, value_at
 from planeopt.report.content import Block, Bullets, Figure, Heading, Section, Table, Text
 from planeopt.report.examine import Examined
 from planeopt.report.words import BLIND, SEES, SHORT, VERDICTS, flag_sentence, p_text, verdict
@@ -100,7 +101,7 @@ def _other_plane(record: Mapping[str, Any]) -> Iterator[Block]:
 
 
 def _posterior(data: Mapping[str, Any], at: str, figures: Mapping[str, Figure]) -> Iterator[Block]:
-    record = tables.value_at(data, at)
+    record = value_at(data, at)
     posterior = record["posterior"]
     if posterior is None:
         if record["posterior_missing"] is not None:
@@ -199,7 +200,7 @@ def _intervals(prior: str, settings: Mapping[str, Any]) -> Iterator[Block]:
 
 
 def _provenance(provenance: Mapping[str, Any], versions: str) -> Table:
-    return tables.facts(
+    return facts(
         "Provenance",
         [
             ("time", provenance["time"]),

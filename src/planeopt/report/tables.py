@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from planeopt.report.cells import DASH, cell, chance, pair, value_at
 from planeopt.report.content import Cell, Table
-from planeopt.report.words import CAPTIONS, decimals, fixed, number, p_text
+from planeopt.report.words import CAPTIONS, decimals, fixed, number
 
-DASH = Cell("-")
 _PLAIN_DECIMALS = 4
 _NAMES = {
     "z_L_mm": "depth z_L along the beam (mm)",
@@ -35,18 +35,6 @@ _PLACES = {
 """Where a record holds them, if not under their own name."""
 
 _INTERVALS = {"68 %": ("low68", "high68"), "95 %": ("low95", "high95")}
-
-
-def value_at(data: Any, key: str) -> Any:
-    """Return what stands at a dotted key of plain JSON values; None where a part of the way is missing."""
-    for part in key.split("."):
-        if isinstance(data, Mapping):
-            data = data.get(part)
-        elif isinstance(data, Sequence) and not isinstance(data, str) and int(part) < len(data):
-            data = data[int(part)]
-        else:
-            return None
-    return data
 
 
 def quantities(data: Mapping[str, Any], at: str, *, caption: str = CAPTIONS["quantities"]) -> Table:
@@ -79,7 +67,7 @@ def _quantity(data: Mapping[str, Any], at: str, name: str, *, posterior: bool) -
     interval = value_at(data, inside) if posterior else None
     sigma = value_at(data, f"{shares}.sigma")
     width = sigma if interval is None else _half_width(interval)
-    row = [Cell(_NAMES[name]), _cell(data, f"{at}.{_PLACES.get(name, name)}", decimals(sigma or width))]
+    row = [Cell(_NAMES[name]), cell(data, f"{at}.{_PLACES.get(name, name)}", decimals(sigma or width))]
     row += _sigmas(data, shares)
     if not posterior:
         return tuple(row)
@@ -87,15 +75,15 @@ def _quantity(data: Mapping[str, Any], at: str, name: str, *, posterior: bool) -
         undefined = Cell("undefined") if row[1] is not DASH or name == "beta_deg" else DASH
         return (*row, undefined, DASH, DASH)
     places = decimals(width)
-    row.append(_cell(data, f"{inside}.median", places))
-    row += [_pair(data, f"{inside}.{low}", f"{inside}.{high}", places) for low, high in _INTERVALS.values()]
+    row.append(cell(data, f"{inside}.median", places))
+    row += [pair(data, f"{inside}.{low}", f"{inside}.{high}", places) for low, high in _INTERVALS.values()]
     return tuple(row)
 
 
 def _sigmas(data: Mapping[str, Any], shares: str) -> list[Cell]:
     """Return sigma, spot and calibration, each to two digits of its own."""
     keys = [f"{shares}.{part}" for part in ("sigma", "spot", "calibration")]
-    return [_cell(data, key, decimals(value_at(data, key))) for key in keys]
+    return [cell(data, key, decimals(value_at(data, key))) for key in keys]
 
 
 def _half_width(interval: Mapping[str, float]) -> float:
@@ -112,20 +100,8 @@ def _cone(data: Mapping[str, Any], at: str, *, posterior: bool) -> list[tuple[Ce
     row = [Cell("angle of the normal about its mean (deg): RMS, cones"), DASH, *_sigmas(data, shares)]
     if posterior:
         keys = [f"{at}.posterior.normal_deg.{part}" for part in ("radius68", "radius95")]
-        row += [DASH, *(_cell(data, key, decimals(value_at(data, key))) for key in keys)]
+        row += [DASH, *(cell(data, key, decimals(value_at(data, key))) for key in keys)]
     return [tuple(row)]
-
-
-def _cell(data: Mapping[str, Any], key: str, places: int) -> Cell:
-    value = value_at(data, key)
-    return DASH if value is None else Cell(fixed(value, places), key)
-
-
-def _pair(data: Mapping[str, Any], low: str, high: str, places: int) -> Cell:
-    first, second = value_at(data, low), value_at(data, high)
-    if first is None or second is None:
-        return DASH
-    return Cell(f"{fixed(first, places)} to {fixed(second, places)}", f"{low} {high}")
 
 
 def split(data: Mapping[str, Any], at: str, parameters: str) -> Table:
@@ -134,7 +110,7 @@ def split(data: Mapping[str, Any], at: str, parameters: str) -> Table:
     for name, label in (*((name, _NAMES[name]) for name in ("z_L_mm", "p", "q")), ("normal_deg", "normal (deg), RMS")):
         share = 100 * value_at(data, f"{at}.{name}.calibration_share")
         keys = [f"{at}.{name}.{part}" for part in ("spot", "calibration")]
-        parts = [_cell(data, key, decimals(value_at(data, key))) for key in keys]
+        parts = [cell(data, key, decimals(value_at(data, key))) for key in keys]
         rows.append((Cell(label), *parts, Cell(f"{share:.0f} %")))
     caption = (
         f"Standard deviations of the posterior in two parts, whose squares add up. The rig's {parameters} were drawn "
@@ -148,7 +124,7 @@ def mount(data: Mapping[str, Any], at: str) -> Table:
     """Return a plane in the frame of the rig's mount; `at` is the key of that."""
     vectors = (("normal", "normal (x, y, z)", 6), ("point_mm", "point (x, y, z), mm", 4))
     rows = [(Cell(label), _all(data, f"{at}.{name}", places)) for name, label, places in vectors]
-    rows.append((Cell("distance from the origin along the normal, mm"), _cell(data, f"{at}.d_mm", _PLAIN_DECIMALS)))
+    rows.append((Cell("distance from the origin along the normal, mm"), cell(data, f"{at}.d_mm", _PLAIN_DECIMALS)))
     return Table(f"In the frame {value_at(data, at)['frame']}", ("", ""), tuple(rows), key="mount")
 
 
@@ -164,9 +140,8 @@ def evidence(data: Mapping[str, Any], at: str) -> Table:
         ("the rig: any plane against the ellipse", "chi2", "dof", "p_value"),
         ("the points against the plane's ellipse", "chi2_points", "dof_points", None),
     ):
-        cells = [_cell(data, f"{at}.{value}", 2), _cell(data, f"{at}.{dof}", 0)]
-        chance = None if p is None else value_at(data, f"{at}.{p}")
-        rows.append((Cell(label), *cells, DASH if chance is None else Cell(p_text(chance), f"{at}.{p}")))
+        cells = [cell(data, f"{at}.{value}", 2), cell(data, f"{at}.{dof}", 0)]
+        rows.append((Cell(label), *cells, DASH if p is None else chance(data, f"{at}.{p}")))
     return Table("Does it fit?", ("", "chi-squared", "degrees of freedom", "p"), tuple(rows), key="tests")
 
 
@@ -182,8 +157,8 @@ def drift_tests(data: Mapping[str, Any], at: str) -> Table:
     """Return the tests of a rig with many images; `at` is the key of their list."""
     rows = []
     for i, test in enumerate(value_at(data, at)):
-        numbers = [_cell(data, f"{at}.{i}.{name}", places) for name, places in (("chi2", 2), ("dof", 0))]
-        rows.append((Cell(_PARTS[test["part"]]), *numbers, Cell(p_text(test["p_value"]), f"{at}.{i}.p_value")))
+        numbers = [cell(data, f"{at}.{i}.{name}", places) for name, places in (("chi2", 2), ("dof", 0))]
+        rows.append((Cell(_PARTS[test["part"]]), *numbers, chance(data, f"{at}.{i}.p_value")))
     caption = (
         "The first line is the sum of the others, the rig's covariance being common to the images. Good: no p below a "
         "few hundredths; the rig is called degraded below 0.00025."
@@ -197,7 +172,7 @@ def changes(data: Mapping[str, Any], at: str, title: str) -> Table:
     for i, change in enumerate(value_at(data, at)):
         unit = "" if change["unit"] == "1" else f" ({change['unit']})"
         places = decimals(change["sigma"])
-        numbers = [_cell(data, f"{at}.{i}.{name}", places) for name in ("value", "sigma")]
+        numbers = [cell(data, f"{at}.{i}.{name}", places) for name in ("value", "sigma")]
         rows.append((Cell(f"{change['name']}{unit}"), *numbers))
     caption = "Good: each within two of its sigmas of zero."
     return Table(title, ("", "change", "sigma"), tuple(rows), caption, key=at.rsplit(".", 1)[-1])
@@ -210,12 +185,12 @@ def slopes(data: Mapping[str, Any], at: str) -> Table:
     for i, trend in enumerate(value_at(data, f"{at}.trends")):
         key = f"{at}.trends.{i}"
         unit = f"per {per}" if trend["unit"] == "1" else f"{trend['unit']} per {per}"
-        slope = _cell(data, f"{key}.slope", decimals(trend["slope_sigma"]))
+        slope = cell(data, f"{key}.slope", decimals(trend["slope_sigma"]))
         sigmas = [
-            _cell(data, f"{key}.{name}", decimals(trend[name])) for name in ("slope_sigma", "slope_sigma_calibration")
+            cell(data, f"{key}.{name}", decimals(trend[name])) for name in ("slope_sigma", "slope_sigma_calibration")
         ]
         meaning = Cell("changes" if trend["changes"] else "does not change beyond its scatter")
-        p = Cell(p_text(trend["p_value"]), f"{key}.p_value")
+        p = chance(data, f"{key}.p_value")
         rows.append((Cell(f"{trend['name']} ({unit})"), slope, *sigmas, p, meaning))
     columns = ("", "slope", "sigma", "calibration's sigma", "p", "")
     caption = (
@@ -252,8 +227,8 @@ def _answer(data: Mapping[str, Any], key: str, row: Mapping[str, Any], sigma: fl
     name = row["formulation"] if row["solver"] == "none" else f"{row['formulation']} + {row['solver']}"
     outcome = Cell(row["outcome"].replace("_", " ") + _ROOTS.get(row["root"], ""), tone=row["status"])
     places = max(_PLAIN_DECIMALS, decimals(sigma) if sigma else 0)
-    answers = [_cell(data, f"{key}.{name}", places) for name in ("z_L_mm", "alpha_deg", "beta_deg", "R_mm")]
-    return (Cell(name), outcome, *answers, _cell(data, f"{key}.chi2", 2), _cell(data, f"{key}.evaluations", 0))
+    answers = [cell(data, f"{key}.{name}", places) for name in ("z_L_mm", "alpha_deg", "beta_deg", "R_mm")]
+    return (Cell(name), outcome, *answers, cell(data, f"{key}.chi2", 2), cell(data, f"{key}.evaluations", 0))
 
 
 def overview(data: Mapping[str, Any], anchors: Sequence[str]) -> Table:
@@ -287,9 +262,9 @@ def _line(data: Mapping[str, Any], i: int, anchor: str) -> tuple[Cell, ...]:
         Cell(record["input"], link=anchor),
         Cell(record["status"], tone=record["status"]),
         *values,
-        _cell(data, f"{at}.sigma.normal_deg", decimals(normal)),
-        _cell(data, f"{at}.chi2", 2),
-        DASH if record["p_value"] is None else Cell(p_text(record["p_value"]), f"{at}.p_value"),
+        cell(data, f"{at}.sigma.normal_deg", decimals(normal)),
+        cell(data, f"{at}.chi2", 2),
+        chance(data, f"{at}.p_value"),
         Cell(", ".join(flag.replace("_", " ") for flag in record["flags"]) or "-"),
     )
 
@@ -301,9 +276,3 @@ def _with_sigma(data: Mapping[str, Any], at: str, name: str) -> Cell:
     if sigma is None:
         return Cell(number(value, None), f"{at}.{name}")
     return Cell(f"{number(value, sigma)} ± {number(sigma, sigma)}", f"{at}.{name} {at}.sigma.{name}")
-
-
-def facts(title: str, pairs: Sequence[tuple[str, str]], key: str) -> Table:
-    """Return a table of names and what they are, in words."""
-    rows = tuple((Cell(name), Cell(value)) for name, value in pairs)
-    return Table(title, ("", ""), rows, words=2, key=key)
