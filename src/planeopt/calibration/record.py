@@ -1,7 +1,7 @@
 """`calibration.json`: what was observed, what came out of it and why it is believed; enough to compute all of it again.
 
-Lengths are in mm and px, angles in degrees (mrad where a name says so), null stands for what is unknown or has no value.
-Numbers are written so that they read back to the last bit.
+Lengths are in mm and px, angles in degrees (mrad where a name says so); null stands for what is unknown or has no
+value. Numbers are written so that they read back to the last bit.
 """
 
 import json
@@ -117,19 +117,19 @@ class CovarianceRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
 
 class SectionRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The spot of one view put back on the board: how the beam's section there lies and how wide it is.
+    """The spot of one view put back on the board: the section of the beam there, across its axis, camera frame.
 
-    `along_mm` is measured along the axis from z = 0, `x_mm` and `y_mm` in the camera frame where the measured section
-    is centred, `radius_mm` its radius; `axis_mm` is where the fitted axis passes.
+    `along_mm` is measured along the axis from z = 0, `axis_mm` is where the fitted axis is there, `centre_mm` the
+    middle of the measured section; the standard deviations are those of the boundary's noise alone.
     """
 
     along_mm: float
-    x_mm: float
-    y_mm: float
+    centre_mm: Triple
+    axis_mm: Triple
     radius_mm: float
-    sigma_centre_mm: float
+    sigma_x_mm: float
+    sigma_y_mm: float
     sigma_radius_mm: float
-    axis_mm: Pair
 
 
 class ViewFit(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -151,7 +151,7 @@ class ViewFit(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     corner_used: tuple[bool, ...]
     spot_rms_px: float | None
     spot_residuals_px: tuple[float, ...]
-    spot_used: tuple[bool, ...]
+    spot_used: bool
     spot_chi2: float | None
     section: SectionRecord | None
 
@@ -167,13 +167,13 @@ class NoiseRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     corner_factor: float
     spot_factor: float
     chi2_corners: float
-    dof_corners: int
+    dof_corners: float
     chi2_spots: float
-    dof_spots: int
+    dof_spots: float
     corners: int
     corners_left_out: int
-    spot_points: int
-    spot_points_left_out: int
+    spots: int
+    spots_left_out: int
 
 
 class AdjustmentRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -244,8 +244,8 @@ class HeldOutRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 class CostRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What the calibration alone costs a plane: standard deviations from the joint covariance.
 
-    The values with `independent` are what would come out if camera and beam were taken as independent of each other:
-    wrong, and shown for that.
+    Those of `independent` are what would come out if camera and beam were taken as independent of each other, those of
+    `offset` from the standard deviations of e_x and e_y alone: wrong, and shown for that.
     """
 
     z_L_mm: float
@@ -253,8 +253,10 @@ class CostRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     beta_deg: float | None
     sigma_z_L_mm: float
     sigma_normal_deg: float
-    independent_z_L_mm: float | None
-    independent_normal_deg: float | None
+    independent_z_L_mm: float
+    independent_normal_deg: float
+    offset_z_L_mm: float
+    offset_normal_deg: float
 
 
 class Provenance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
