@@ -1,5 +1,28 @@
 """Images of spots with their truth: scenes in Python or TOML, exact in geometry, with the noise of real images."""
 
+from planeopt.simulation.board_faults import (
+    bowed_session,
+    frontal_session,
+    long_session,
+    mirrored_session,
+    mixed_session,
+    one_depth_session,
+    short_session,
+    spotless_session,
+    stretched,
+    wrong_scale_session,
+)
+from planeopt.simulation.board_random import (
+    Setting,
+    Shooting,
+    aimed,
+    random_session,
+    random_setting,
+    shot_poses,
+    tilted,
+)
+from planeopt.simulation.board_sessions import SimulatedSession, board_views, simulated_session
+from planeopt.simulation.board_views import BoardPoses, BoardView
 from planeopt.simulation.file import load_scene, save_scene, scene_sources
 from planeopt.simulation.geometry import boundary_distances
 from planeopt.simulation.render import Simulated, clean_light, frame, frames, render, true_record
@@ -9,23 +32,45 @@ from planeopt.simulation.tables import BeamProfile, Clutter, Noise, Occlusion, O
 
 __all__ = [
     "BeamProfile",
+    "BoardPoses",
+    "BoardView",
     "Clutter",
     "Noise",
     "Occlusion",
     "Optics",
     "Scene",
     "Sensor",
+    "Setting",
+    "Shooting",
     "Simulated",
+    "SimulatedSession",
     "Surface",
     "Sweep",
+    "aimed",
+    "board_views",
     "boundary_distances",
+    "bowed_session",
     "clean_light",
     "frame",
     "frames",
+    "frontal_session",
     "load_scene",
+    "long_session",
+    "mirrored_session",
+    "mixed_session",
+    "one_depth_session",
+    "random_session",
+    "random_setting",
     "render",
     "save_scene",
     "scene_schema",
     "scene_sources",
+    "short_session",
+    "shot_poses",
+    "simulated_session",
+    "spotless_session",
+    "stretched",
+    "tilted",
     "true_record",
+    "wrong_scale_session",
 ]
