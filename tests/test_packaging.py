@@ -46,6 +46,7 @@ ROOMS = (
     "posterior",
     "comparison",
     "simulation",
+    "formats",
     "reproduction",
     "report",
     "example",

@@ -16,6 +16,8 @@ from planeopt.cli.check import check
 from planeopt.cli.clock import now
 from planeopt.cli.compare import compare
 from planeopt.cli.demo import demo
+from planeopt.cli.export import export
+from planeopt.cli.import_ import import_
 from planeopt.cli.messages import complain
 from planeopt.cli.pose import pose
 from planeopt.cli.report import report
@@ -38,6 +40,8 @@ def build_app() -> App:
     )
     for command in (demo, check, spot, pose, report, compare, reproduce, simulate):
         app.command(command)
+    app.command(export)
+    app.command(import_, name="import")
     return app
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 from cyclopts.types import PositiveInt
 
-from planeopt.cli.files import spare_what_is_read
+from planeopt.cli.files import may_write
 from planeopt.cli.messages import exit_status, report, tables
 from planeopt.cli.rigs import load_measuring_rig
 from planeopt.cli.tables import table
@@ -65,7 +65,7 @@ def check(
 
     loaded = load_measuring_rig(rig)
     if output is not None:
-        _may_write(output, [*inputs, *(file for file in (rig, times, dark) if file is not None)], force=force)
+        may_write(output, [*inputs, *(file for file in (rig, times, dark) if file is not None)], force=force)
     positions = Positions.of_names(inputs) if times is None else read_times(times, inputs)
     search = Search(dark=None if dark is None else read_image(dark))
     tested: list[Tested] = []
@@ -80,14 +80,6 @@ def check(
         write_text(output, record.to_json())
     _show(record)
     return max(status, exit_status([record.status]), key=(0, 2, 1).index)
-
-
-def _may_write(output: Path, read: list[str | Path], *, force: bool) -> None:
-    spare_what_is_read(output, read)
-    if output.is_dir():
-        raise InputError(f"{output}: is a folder; name the file of the record to write in it")
-    if output.exists() and not force:
-        raise InputError(f"{output}: exists already; --force overwrites it")
 
 
 def _kept(images: Iterable["Tested"], kept: list["Tested"]) -> Iterator["Tested"]:

@@ -134,9 +134,24 @@ def spare_what_is_read(output: Path, read: Iterable[str | Path]) -> None:
     """Refuse to write over an input or the rig, or over what is no regular file, whatever was forced."""
     target = output.resolve()
     if any(Path(name).resolve() == target for name in read):
-        raise InputError(f"{output}: is read in this run; give the records a file of their own")
+        raise InputError(f"{output}: is read in this run; name another file to write")
     if target.exists() and not target.is_file() and not target.is_dir():
         raise InputError(f"{output}: is not a regular file; leave -o out to write to standard output")
+
+
+def may_write(output: Path, read: Iterable[str | Path], *, force: bool) -> None:
+    """Refuse a file to write that is a folder, is read in the same run, or exists without `force`.
+
+    Raises
+    ------
+    InputError
+        If one of these holds.
+    """
+    spare_what_is_read(output, read)
+    if output.is_dir():
+        raise InputError(f"{output}: is a folder; name the file to write in it")
+    if output.exists() and not force:
+        raise InputError(f"{output}: exists already; --force overwrites it")
 
 
 def spare_inputs(written: Iterable[Path], read: Iterable[str | Path]) -> None:

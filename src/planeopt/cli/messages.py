@@ -27,8 +27,13 @@ class Record(Protocol):
 
 def complain(message: str) -> int:
     """Write one line to standard error and return exit status 1."""
-    print(one_line(message), file=sys.stderr)  # noqa: T201 - this is where the program speaks
+    remark(message)
     return 1
+
+
+def remark(message: str) -> None:
+    """Write one line to standard error."""
+    print(one_line(message), file=sys.stderr)  # noqa: T201 - this is where the program speaks
 
 
 def one_line(message: str) -> str:

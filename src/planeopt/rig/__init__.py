@@ -4,7 +4,7 @@ from planeopt.rig.beam import Beam, rotation_to_axis
 from planeopt.rig.beam_image import Silhouette, silhouette
 from planeopt.rig.camera import Camera, distort
 from planeopt.rig.covariance import BEAM_PARAMETERS, CAMERA_PARAMETERS, PARAMETERS, RigCovariance
-from planeopt.rig.file import load_rig, rig_from_dict, save_rig
+from planeopt.rig.file import load_rig, rig_as_toml, rig_from_dict, save_rig
 from planeopt.rig.model import CHANNELS, SPOT_KINDS, Rig, SpotDefinition
 from planeopt.rig.mount import Mount
 
@@ -23,6 +23,7 @@ __all__ = [
     "SpotDefinition",
     "distort",
     "load_rig",
+    "rig_as_toml",
     "rig_from_dict",
     "rotation_to_axis",
     "save_rig",

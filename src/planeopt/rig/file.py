@@ -132,10 +132,11 @@ def save_rig(rig: Rig, path: str | os.PathLike[str]) -> None:
     file = Path(path)
     if file.is_dir():
         raise InputError(f"{file}: this is a folder; name the rig file to write in it")
-    write_text(file, _as_toml(rig))
+    write_text(file, rig_as_toml(rig))
 
 
-def _as_toml(rig: Rig) -> str:
+def rig_as_toml(rig: Rig) -> str:
+    """Return the text of `rig.toml`."""
     camera = rig.camera
     lines = [
         f"format = {FORMAT}",

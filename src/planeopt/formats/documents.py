@@ -1,0 +1,114 @@
+"""Texts in YAML, JSON or XML as nested tables whose leaves are still text.
+
+Leaves stay text because what a number, a truth value or a text is depends on the version of YAML: `1e-05`, `010` and
+`no` all have two readings. Each format's own reader knows which it expects.
+
+OpenCV's own reader is not used: on files that are damaged it can end the whole process (4.10 and 5.0 alike).
+"""
+
+import os
+import re
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import yaml
+
+from planeopt.errors import InputError
+
+Document = dict[str, Any]
+"""Keys to texts, lists or further tables."""
+
+_ROOT = "opencv_storage"
+_ESCAPED_APOSTROPHE = re.compile(r"(?<!\\)((?:\\\\)*)\\'")
+_DIRECTIVE = re.compile(r"\A\ufeff?%YAML[^\n]*")
+
+
+class _Loader(yaml.BaseLoader):
+    """PyYAML's plainest loader: every scalar a text, every tag passed over; but a key that stands twice is refused."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[Any] = set()
+        for key_node, _ in node.value:
+            key = key_node.value if isinstance(key_node, yaml.ScalarNode) else None
+            if key is not None and key in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"the key {key!r} stands there twice", key_node.start_mark
+                )
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+def read_text(path: str | os.PathLike[str]) -> str:
+    """Return what a text file holds.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, unreadable or not text.
+    """
+    file = Path(path)
+    try:
+        return file.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError as error:
+        raise InputError(f"{file}: there is no such file") from error
+    except IsADirectoryError as error:
+        raise InputError(f"{file}: this is a folder; name the camera's file in it") from error
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{file}: not a text file in UTF-8 (byte {error.start})") from error
+
+
+def parse_yaml(text: str, source: str) -> Document:
+    r"""Return the tables of a YAML or JSON text; OpenCV's dialects of both included.
+
+    The header `%YAML:1.0`, which no version of YAML has, and the escape `\'`, which neither YAML nor JSON has, are
+    OpenCV's. Its tags (`!!opencv-matrix`) are passed over.
+
+    Raises
+    ------
+    InputError
+        If the text is neither, or no table; names the line.
+    """
+    body = _ESCAPED_APOSTROPHE.sub(r"\1'", _DIRECTIVE.sub("", text))
+    if body.lstrip().startswith("{"):
+        # JSON may be indented with tabs, YAML may not.
+        body = body.replace("\t", " ")
+    try:
+        document = yaml.load(body, Loader=_Loader)
+    except yaml.MarkedYAMLError as error:
+        line = "" if error.problem_mark is None else f", line {error.problem_mark.line + 1}"
+        raise InputError(f"{source}{line}: not valid YAML: {error.problem or error.context}") from error
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        raise InputError(f"{source}: not valid YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(document, dict):
+        raise InputError(f"{source}: holds no keys at all, so it is not a camera's file")
+    return document
+
+
+def parse_xml(text: str, source: str) -> Document:
+    """Return the tables of an XML text as OpenCV's FileStorage writes it.
+
+    Raises
+    ------
+    InputError
+        If the text is not XML, or not of that kind; names the line.
+    """
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InputError(
+            f"{source}, line {error.position[0]}: not valid XML: {str(error).partition(':')[0]}"
+        ) from error
+    except ValueError as error:
+        raise InputError(f"{source}: not valid XML: {error}") from error
+    if root.tag != _ROOT:
+        raise InputError(f"{source}: OpenCV's XML begins with <{_ROOT}>, not <{root.tag}>")
+    return {element.tag: _content(element) for element in root}
+
+
+def _content(element: ElementTree.Element) -> Any:
+    if len(element):
+        return {child.tag: _content(child) for child in element}
+    return (element.text or "").strip().strip('"')
