@@ -157,7 +157,7 @@ class Camera:
             _refuse_first(
                 flat, ~good, "is where this camera's distortion cannot be inverted: check it against the image size"
             )
-            xx, xy, yy = self._distortion_jacobian(found)
+            xx, xy, yy = self.distortion_jacobian(found)
         determinant = xx * yy - xy * xy
         inverse = np.stack([yy, -xy, -xy, xx], axis=-1).reshape(-1, 2, 2) / determinant[:, None, None]
         jacobian = inverse / [self.fx, self.fy]
@@ -169,13 +169,13 @@ class Camera:
         points = self._radial_start(target, limit)
         for _ in range(_NEWTON_STEPS):
             residual = self._residual(points, target)
-            xx, xy, yy = self._distortion_jacobian(points)
+            xx, xy, yy = self.distortion_jacobian(points)
             dx, dy = residual[:, 0], residual[:, 1]
             step = np.stack([yy * dx - xy * dy, xx * dy - xy * dx], axis=-1) / (xx * yy - xy * xy)[:, None]
             points = points - step
             if np.all(np.abs(step) <= np.spacing(1.0) * (1 + np.abs(points))):
                 break
-        xx, xy, yy = self._distortion_jacobian(points)
+        xx, xy, yy = self.distortion_jacobian(points)
         error = np.max(np.abs(self._residual(points, target)), axis=-1, initial=0.0)
         reached = error <= _INVERSE_TOLERANCE * (1 + np.max(np.abs(target), axis=-1, initial=0.0))
         unfolded = (xx * yy - xy * xy > 0) & (np.hypot(points[:, 0], points[:, 1]) < limit)
@@ -199,10 +199,10 @@ class Camera:
         ratio = np.interp(distorted, grown, radius) / np.where(distorted > 0, distorted, 1.0)
         return target * ratio[:, None]
 
-    def _distortion_jacobian(self, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return d xd/dx, d xd/dy (which is d yd/dx too) and d yd/dy at normalised points (N, 2)."""
+    def distortion_jacobian(self, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return d xd/dx, d xd/dy (which is d yd/dx too) and d yd/dy at normalised points (..., 2), each (...)."""
         k1, k2, p1, p2, k3 = self.distortion
-        x, y = points[:, 0], points[:, 1]
+        x, y = points[..., 0], points[..., 1]
         r2 = x * x + y * y
         radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
         slope = 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))

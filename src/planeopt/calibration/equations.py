@@ -1,0 +1,241 @@
+"""The weighted normal equations of a state, and the way down to where they vanish."""
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planeopt.calibration.arrow import Arrow
+from planeopt.calibration.model import Model
+from planeopt.calibration.packed import Packed
+from planeopt.calibration.projection import Boundaries, Linear, linear_boundaries, linear_corners
+from planeopt.calibration.state import State
+from planeopt.errors import InputError
+
+Array = NDArray[np.float64]
+
+_log = logging.getLogger(__name__)
+
+_STEPS = 200
+_CONVERGED = 1e-7
+"""Of a standard deviation: how long the step that is left may be."""
+_STALLED = 1e-3
+"""The same, where no shorter step lowers the cost: rounding, or Huber's corner."""
+_NEAR = 0.3
+"""The same, where the way down is nearly straight."""
+_DAMPING = 1e-3, 1e-15, 1e12  # at first, least, most
+_HUBER = 2.0  # standard deviations
+
+
+class AdjustmentError(Exception):
+    """The observations do not determine what is asked for, or do not go together; the message is a sentence."""
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """One over the variance of each number observed, 1/px^2; 0 for what is not there or left out.
+
+    Parameters
+    ----------
+    corners : (V, K) array
+        Of u and of v each.
+    boundary : (V, M) array
+    """
+
+    corners: Array
+    boundary: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known of free parameters beforehand.
+
+    Parameters
+    ----------
+    values : (g,) array
+        In the order of `Model.names`; what is not known has any value.
+    information : (g, g) array
+        Inverse of their covariance, zero in the rows of what is not known.
+    """
+
+    values: Array
+    information: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What is adjusted.
+
+    Parameters
+    ----------
+    packed : Packed
+    model : Model
+    with_spots : bool
+        Whether the spots' boundaries are used.
+    prior : Prior, optional
+    """
+
+    packed: Packed
+    model: Model
+    with_spots: bool
+    prior: Prior | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """A state with its residuals and the normal equations of its linearisation.
+
+    Parameters
+    ----------
+    state : State
+    corners : Linear
+        u and v of each corner in turn.
+    boundaries : Boundaries, optional
+    by_corners, by_boundary : Arrow
+        The two parts of the equations; `by_boundary` is zero without spots.
+    total : Arrow
+        Their sum, with the prior.
+    cost : float
+        Sum of squared weighted residuals (Huber's loss where that is asked for) and of the prior.
+    """
+
+    state: State
+    corners: Linear
+    boundaries: Boundaries | None
+    by_corners: Arrow
+    by_boundary: Arrow
+    total: Arrow
+    cost: float
+
+
+def equations(task: Task, state: State, weights: Weights, *, huber: bool = False) -> Equations:
+    """Linearise at a state.
+
+    Parameters
+    ----------
+    task : Task
+    state : State
+    weights : Weights
+    huber : bool
+        Whether what lies beyond two standard deviations counts by its distance, not by its square.
+
+    Raises
+    ------
+    InputError
+        If the state is no rig, or a point cannot be seen from it.
+    """
+    packed, selection = task.packed, task.model.selection
+    linear = linear_corners(packed.board, packed.corners, state)
+    u, v = linear.residual[:, 0::2], linear.residual[:, 1::2]
+    weight, loss = _loss(np.hypot(u, v), weights.corners, huber)
+    by_corners = Arrow.of(linear.residual, linear.shared @ selection, linear.pose, np.repeat(weight, 2, axis=1))
+    boundaries, by_boundary = None, _nothing(len(packed), selection.shape[1])
+    if task.with_spots:
+        boundaries = linear_boundaries(packed.board, packed.boundary, packed.boundary_seen, state)
+        at = boundaries.linear
+        weight, more = _loss(np.abs(at.residual), weights.boundary, huber)
+        by_boundary = Arrow.of(at.residual, at.shared @ selection, at.pose, weight)
+        loss += more
+    total = by_corners + by_boundary
+    if task.prior is not None:
+        away = free_values(task.model, state) - task.prior.values
+        pull = task.prior.information @ away
+        total = total.with_prior(task.prior.information, pull)
+        loss += float(away @ pull)
+    return Equations(state, linear, boundaries, by_corners, by_boundary, total, loss)
+
+
+def free_values(model: Model, state: State) -> Array:
+    """Return the values (g,) of a model's free parameters."""
+    return np.array([state.value(name) for name in model.names])
+
+
+def descend(task: Task, state: State, weights: Weights, *, huber: bool = False) -> tuple[Equations, int]:
+    """Go down to the least cost, by Levenberg's and Marquardt's method.
+
+    Parameters
+    ----------
+    task : Task
+    state : State
+        To start from.
+    weights : Weights
+    huber : bool
+        As in `equations`.
+
+    Returns
+    -------
+    Equations
+        At the least cost.
+    int
+        Number of steps.
+
+    Raises
+    ------
+    AdjustmentError
+        If the start is no rig, or the least cost is not reached.
+    """
+    try:
+        here = equations(task, state, weights, huber=huber)
+    except InputError as error:
+        raise AdjustmentError(f"The adjustment cannot start: {error}.") from error
+    damping, least, most = _DAMPING
+    left = _left(here)
+    for count in range(_STEPS):
+        if left < _CONVERGED:
+            _log.debug("converged after %d steps at cost %.6g", count, here.cost)
+            return here, count
+        trial = _try(task, here, damping, weights, huber)
+        after = np.inf if trial is None else _left(trial)
+        # A spot's distances are to first order in their own length: where they no longer move, their cost still slopes
+        # by the second, and the shorter step is the better sign.
+        if trial is not None and (trial.cost < here.cost or (left < _NEAR and after < left)):
+            here, damping, left = trial, max(damping / 10, least), after
+        elif damping < most:
+            damping *= 10
+        elif left < _STALLED:
+            return here, count
+        else:
+            break
+    raise AdjustmentError(
+        "The adjustment does not converge: the observations contradict each other, or do not determine the rig."
+    )
+
+
+def _left(here: Equations) -> float:
+    """Return the length of the full step that is left, in standard deviations."""
+    try:
+        return here.total.decrement(*here.total.step())
+    except np.linalg.LinAlgError:
+        return np.inf
+
+
+def _try(task: Task, here: Equations, damping: float, weights: Weights, huber: bool) -> Equations | None:
+    """Return the equations after a damped step; nothing where there is none, or it leads to no rig."""
+    try:
+        shared, pose = here.total.damped(damping).step()
+        moved = here.state.moved(task.model.selection @ shared, pose[:, :3], pose[:, 3:])
+        return equations(task, moved, weights, huber=huber)
+    except (InputError, np.linalg.LinAlgError):
+        return None
+
+
+def _loss(distance: Array, weight: Array, huber: bool) -> tuple[Array, float]:
+    """Return the weights to use and the loss of distances, px, whose weights are given."""
+    if not huber:
+        return weight, float(np.sum(weight * distance**2))
+    sigmas = distance * np.sqrt(weight)
+    beyond = sigmas > _HUBER
+    share = np.where(beyond, _HUBER / np.where(beyond, sigmas, 1.0), 1.0)
+    loss = np.where(beyond, _HUBER * (2 * sigmas - _HUBER), sigmas**2)
+    return weight * share, float(np.sum(loss))
+
+
+def _nothing(views: int, count: int) -> Arrow:
+    return Arrow(
+        np.zeros((count, count)),
+        np.zeros((views, 6, count)),
+        np.zeros((views, 6, 6)),
+        np.zeros(count),
+        np.zeros((views, 6)),
+    )
