@@ -93,7 +93,7 @@ def pose_cost(rig: Rig, planes: ArrayLike) -> tuple[PoseCost, ...]:
 
 
 def working_planes(distances: ArrayLike, tilts: ArrayLike = TILTS) -> Array:
-    """Return planes (M, 3), (z_L, alpha, beta): each tilt at each distance, the tilts in two directions at right angles.
+    """Return planes (M, 3), (z_L, alpha, beta): each tilt at each distance, in two directions.
 
     Parameters
     ----------
