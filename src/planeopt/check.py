@@ -46,6 +46,17 @@ class PartRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     ok: bool
     message: str
 
+    @classmethod
+    def of(cls, test: PartTest) -> "PartRecord":
+        return cls(
+            part=test.part.name.lower(),
+            chi2=test.chi2,
+            dof=test.dof,
+            p_value=test.p_value,
+            ok=test.ok,
+            message="Within what chance explains." if test.ok else test.part.value,
+        )
+
 
 class ChangeRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How far a number of the beam is from the rig's file, or has changed from the first image to the last."""
@@ -149,7 +160,7 @@ def check(tested: Sequence[Tested], rig: Rig, positions: Positions, rig_name: st
         chi2=finite(found.chi2),
         dof=None if found.chi2 is None else found.dof,
         p_value=finite(found.p_value),
-        tests=tuple(map(_test_record, found.tests)),
+        tests=tuple(map(PartRecord.of, found.tests)),
         shift=tuple(map(ChangeRecord.of, found.shift)),
         trend=tuple(map(ChangeRecord.of, found.trend)),
         worst=tuple(tested[rows[index]].input for index in found.worst),
@@ -167,17 +178,6 @@ def _message(found: Drift, tested: Sequence[Tested]) -> str:
         return found.verdict
     count = "1 image" if len(lost) == 1 else f"{len(lost)} images"
     return f"{found.verdict} Not in this: {count}, the first {lost[0].input} ({lost[0].message})"
-
-
-def _test_record(test: PartTest) -> PartRecord:
-    return PartRecord(
-        part=test.part.name.lower(),
-        chi2=test.chi2,
-        dof=test.dof,
-        p_value=test.p_value,
-        ok=test.ok,
-        message="Within what chance explains." if test.ok else test.part.value,
-    )
 
 
 def _image_record(record: PoseRecord, position: float, *, used: bool) -> ImageRecord:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from cyclopts import App, CycloptsError
 
 from planeopt import __version__
+from planeopt.cli.board import board
 from planeopt.cli.check import check
 from planeopt.cli.clock import now
 from planeopt.cli.compare import compare
@@ -20,6 +21,7 @@ from planeopt.cli.export import export
 from planeopt.cli.import_ import import_
 from planeopt.cli.messages import complain
 from planeopt.cli.pose import pose
+from planeopt.cli.recalibrate import recalibrate
 from planeopt.cli.report import report
 from planeopt.cli.reproduce import reproduce
 from planeopt.cli.simulate import simulate
@@ -38,7 +40,7 @@ def build_app() -> App:
         version=__version__,
         suppress_keyboard_interrupt=False,
     )
-    for command in (demo, check, spot, pose, report, compare, reproduce, simulate):
+    for command in (demo, board, check, recalibrate, spot, pose, report, compare, reproduce, simulate):
         app.command(command)
     app.command(export)
     app.command(import_, name="import")
