@@ -46,9 +46,7 @@ def weights_of(adjustment: Adjustment, packed: Packed) -> Weights:
         used[row, view.ids] = kept
     lit = packed.boundary_seen & adjustment.spot_used[:, None]
     noise = adjustment.noise
-    return Weights(
-        used / (packed.corner_sigma * noise.corners) ** 2, lit / (packed.boundary_sigma * noise.spots) ** 2
-    )
+    return Weights(used / (packed.corner_sigma * noise.corners) ** 2, lit / (packed.boundary_sigma * noise.spots) ** 2)
 
 
 def linearised(adjustment: Adjustment) -> tuple[Task, Weights, Equations]:
@@ -76,7 +74,8 @@ def eliminated(linear: Linear, weight: Array, selection: Array) -> PerView:
 def joined(parts: list[tuple[Linear, Array]], selection: Array) -> PerView:
     """Return what several kinds of residuals of the same views say together; as `eliminated`."""
     rows = [
-        (linear.shared @ selection, linear.pose, linear.residual, np.sqrt(weight)[..., None]) for linear, weight in parts
+        (linear.shared @ selection, linear.pose, linear.residual, np.sqrt(weight)[..., None])
+        for linear, weight in parts
     ]
     shared = np.concatenate([by_shared * root for by_shared, _, _, root in rows], axis=1)
     pose = np.concatenate([by_pose * root for _, by_pose, _, root in rows], axis=1)
