@@ -10,7 +10,7 @@ from planeopt.board import Observations
 from planeopt.calibration.approach import approach
 from planeopt.calibration.arrow import Inverse, condition
 from planeopt.calibration.equations import AdjustmentError, Prior, Task, Weights, descend, equations
-from planeopt.calibration.model import Model
+from planeopt.calibration.model import FULL, Model
 from planeopt.calibration.noise import (
     ELLIPSE,
     Noise,
@@ -31,6 +31,7 @@ Mask = NDArray[np.bool_]
 
 _ROUNDS = 5  # of weights that depend on residuals that depend on weights
 _SETTLED = 1e-4  # of a factor of the sigmas
+_MAY_VANISH = ("k1", "k2", "p1", "p2", "k3", "warp_x", "warp_y", "direction_x", "direction_y", "divergence")
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +58,8 @@ class Adjustment:
         Which views' spots are used.
     spot_chi2 : (V,) array
         What of a spot's misfit an ellipse can show (5 numbers), over the sigmas given; NaN without a spot.
+    cost : float
+        Sum of all squared residuals over their sigmas, with the noise's factors.
     chi2_corners, chi2_spots : float
         Sums of squares over the sigmas given, of what is used; of the spots at the level of their ellipses.
     dof_corners, dof_spots : float
@@ -84,6 +87,7 @@ class Adjustment:
     spot_residuals: tuple[Array, ...]
     spot_used: Mask
     spot_chi2: Array
+    cost: float
     chi2_corners: float
     dof_corners: float
     chi2_spots: float
@@ -217,6 +221,38 @@ def adjust(
         raise AdjustmentError("The observations do not determine the free parameters: too few views.") from error
 
 
+def refit(adjustment: Adjustment, model: Model) -> Adjustment:
+    """Adjust another model to the same observations with the same weights: what tests compare.
+
+    Parameters
+    ----------
+    adjustment : Adjustment
+        Of the model to compare with; its noise and what it left out are kept. What is free in it and not in the other
+        model is set to zero: distortions, bow, divergence, the beam's tilt.
+    model : Model
+
+    Raises
+    ------
+    AdjustmentError
+        If the observations do not determine the model.
+    """
+    observations, packed = adjustment.observations, Packed.of(adjustment.observations)
+    given = weights_given(packed)
+    corners = np.zeros_like(given.corners)
+    for row, (view, used) in enumerate(zip(observations.views, adjustment.corner_used, strict=True)):
+        corners[row, view.ids[used]] = given.corners[row, view.ids[used]]
+    weights = Weights(corners, given.boundary * adjustment.spot_used[:, None])
+    dropped = [name for name in adjustment.names if name not in model.names and name in _MAY_VANISH]
+    start = replace(adjustment.state, values=np.where(np.isin(FULL, dropped), 0.0, adjustment.state.values))
+    if model.focal == "shared":
+        start.values[FULL.index("fy")] = start.value("fx")
+    task = Task(packed, model, bool(adjustment.spot_used.any()) and model.beam != "none")
+    try:
+        return _Job(observations, task, adjustment.noise, adjustment.held).fit(start, weights, adjustment.noise)
+    except np.linalg.LinAlgError as error:
+        raise AdjustmentError("The observations do not determine the free parameters: too few views.") from error
+
+
 def _enough(task: Task) -> None:
     seen = 2 * np.count_nonzero(task.packed.corner_seen)
     if task.with_spots:
@@ -270,17 +306,18 @@ class _Job:
 
     def _settle(self, state: State, weights: Weights, noise: Noise) -> Adjustment:
         """Least squares, and the noise's factors from its residuals, until they agree."""
-        fit = self._fit(state, weights, noise)
+        fit = self.fit(state, weights, noise)
         for _ in range(_ROUNDS):
             found = noise_from(fit.chi2_corners, fit.dof_corners, fit.chi2_spots, fit.dof_spots)
             if self.noise is not None or np.allclose(
                 [found.corners, found.spots], [fit.noise.corners, fit.noise.spots], rtol=_SETTLED, atol=0
             ):
                 break
-            fit = self._fit(fit.state, weights, found)
+            fit = self.fit(fit.state, weights, found)
         return fit
 
-    def _fit(self, state: State, weights: Weights, noise: Noise) -> Adjustment:
+    def fit(self, state: State, weights: Weights, noise: Noise) -> Adjustment:
+        """Least squares with these weights."""
         task, packed, views = self.task, self.task.packed, self.observations.views
         here, count = descend(task, state, noise.weights(weights))
         inverse = Inverse.of(here.total)
@@ -303,6 +340,7 @@ class _Job:
             spot_residuals=tuple(boundary[row, packed.boundary_seen[row]] for row in range(len(packed))),
             spot_used=used if task.with_spots else np.zeros_like(used),
             spot_chi2=np.where(packed.with_spot & task.with_spots, misfits, np.nan),
+            cost=here.cost,
             chi2_corners=float(square.sum()),
             dof_corners=2 * np.count_nonzero(weights.corners) - inverse.trace(here.by_corners),
             chi2_spots=float(misfits[used].sum()),

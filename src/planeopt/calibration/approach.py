@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planeopt.calibration.equations import AdjustmentError, Equations, Task, Weights, descend, equations
-from planeopt.calibration.model import RUNGS, Model
+from planeopt.calibration.model import RUNGS, Model, Rung
 from planeopt.calibration.noise import corner_norms, robust_noise, weights_given
 from planeopt.calibration.start import other_poses, pose_views, start_beam, start_camera
 from planeopt.calibration.state import State
@@ -17,6 +17,9 @@ from planeopt.rig import Rig
 Array = NDArray[np.float64]
 
 _log = logging.getLogger(__name__)
+
+_TURNED: Rung = "k1"
+"""The rung on which the boards' other poses are tried: without k1 the better one may be the wrong one."""
 
 
 def approach(task: Task, held: Rig | None) -> State:
@@ -39,31 +42,43 @@ def approach(task: Task, held: Rig | None) -> State:
     if held is None and model.camera:
         # Rung by rung: what a rung finds is a good start for the next, and from afar k2 or k3 may fold the image.
         for rung in RUNGS[: RUNGS.index(model.distortion) + 1]:
-            state = _climb(Task(packed, Model(distortion=rung, warp=False, beam="none"), with_spots=False), state)
+            simple = Task(packed, Model(distortion=rung, warp=False, beam="none"), with_spots=False)
+            state = _climbed(simple, state)
+            if rung == _TURNED or rung == model.distortion == "none":
+                state = _turned(simple, state)
     if model.beam != "none" and (held is None or held.beam is None):
         state = start_beam(packed, state, free=model.beam == "free")
     return state
 
 
-def _climb(task: Task, state: State) -> State:
-    """Return the state at the least of Huber's loss of the corners, each board in the better of its two poses."""
+def _climbed(task: Task, state: State) -> State:
+    """Return the state near the least of Huber's loss of the corners."""
     given = weights_given(task.packed)
     noise = robust_noise(task, equations(task, state, given))
-    here, _ = descend(task, state, noise.weights(given), huber=True)
+    return descend(task, state, noise.weights(given), huber=True)[0].state
+
+
+def _turned(task: Task, state: State) -> State:
+    """Return the state with each board in the better of the two poses that a plane seen from far has."""
+    given = weights_given(task.packed)
+    here = equations(task, state, given)
+    weights = robust_noise(task, here).weights(given)
     poses = Task(task.packed, Model(camera=False, warp=False, beam="none"), with_spots=False)
     try:
-        other, _ = descend(poses, other_poses(task.packed, here.state), noise.weights(given), huber=True)
+        other, _ = descend(poses, other_poses(task.packed, state), weights, huber=True)
     except (AdjustmentError, InputError) as error:
         _log.debug("the boards' other poses lead nowhere: %s", error)
-        return here.state
+        return state
     better = _misfits(other, given) < _misfits(here, given)
-    if np.any(better):
-        _log.debug("%d boards turned to their other pose", np.count_nonzero(better))
-    return replace(
-        here.state,
-        rotations=np.where(better[:, None, None], other.state.rotations, here.state.rotations),
-        translations=np.where(better[:, None], other.state.translations, here.state.translations),
+    if not np.any(better):
+        return state
+    _log.debug("%d boards turned to their other pose", np.count_nonzero(better))
+    turned = replace(
+        state,
+        rotations=np.where(better[:, None, None], other.state.rotations, state.rotations),
+        translations=np.where(better[:, None], other.state.translations, state.translations),
     )
+    return _climbed(task, turned)
 
 
 def _misfits(found: Equations, weights: Weights) -> Array:

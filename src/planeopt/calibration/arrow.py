@@ -78,7 +78,7 @@ class Arrow:
             If the equations are singular.
         """
         right = np.concatenate([self.W, self.pose[..., None]], axis=-1)
-        solved = np.linalg.solve(self.U, right)
+        solved = np.asarray(np.linalg.solve(self.U, right), dtype=np.float64)
         by_shared, alone = solved[..., :-1], solved[..., -1]
         g = len(self.V)
         if g == 0:
@@ -88,7 +88,7 @@ class Arrow:
         scale = _unit_columns(self.V)
         shared = np.empty(g)
         shared[:] = -scale * np.linalg.solve(scale[:, None] * S * scale, scale * pull)
-        return shared, np.subtract(-alone, by_shared @ shared, dtype=np.float64)
+        return shared, -alone - by_shared @ shared
 
     def decrement(self, shared: Array, pose: Array) -> float:
         """Return the length of a step in standard deviations: sqrt(x' N x)."""

@@ -20,6 +20,9 @@ _log = logging.getLogger(__name__)
 _STEPS = 200
 _CONVERGED = 1e-7
 """Of a standard deviation: how long the step that is left may be."""
+_ROUGH = 0.02
+"""The same, where only the neighbourhood is wanted."""
+_ROUGH_STEPS = 40
 _STALLED = 1e-3
 """The same, where no shorter step lowers the cost: rounding, or Huber's corner."""
 _NEAR = 0.3
@@ -154,6 +157,9 @@ def free_values(model: Model, state: State) -> Array:
 def descend(task: Task, state: State, weights: Weights, *, huber: bool = False) -> tuple[Equations, int]:
     """Go down to the least cost, by Levenberg's and Marquardt's method.
 
+    With Huber's loss this only leads into the neighbourhood: to a small part of a standard deviation, or as far as a
+    few dozen steps go.
+
     Parameters
     ----------
     task : Task
@@ -181,8 +187,9 @@ def descend(task: Task, state: State, weights: Weights, *, huber: bool = False) 
         raise AdjustmentError(f"The adjustment cannot start: {error}.") from error
     damping, least, most = _DAMPING
     left = _left(here)
-    for count in range(_STEPS):
-        if left < _CONVERGED:
+    steps, close = (_ROUGH_STEPS, _ROUGH) if huber else (_STEPS, _CONVERGED)
+    for count in range(steps):
+        if left < close:
             _log.debug("converged after %d steps at cost %.6g", count, here.cost)
             return here, count
         trial = _try(task, here, damping, weights, huber)
@@ -197,6 +204,8 @@ def descend(task: Task, state: State, weights: Weights, *, huber: bool = False) 
             return here, count
         else:
             break
+    if huber:
+        return here, steps
     raise AdjustmentError(
         "The adjustment does not converge: the observations contradict each other, or do not determine the rig."
     )

@@ -1,0 +1,225 @@
+"""Which parameters the observations ask for: the ladder of distortions, and tests of what might be left out.
+
+Each test compares two models that are nested, adjusted to the same observations with the same weights: twice the
+difference of their log-likelihoods is chi-squared where the smaller one holds, and F when divided by the noise that was
+estimated.
+"""
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.stats import f as fisher
+
+from planeopt.board import Observations
+from planeopt.calibration.adjustment import Adjustment, adjust, refit
+from planeopt.calibration.equations import AdjustmentError
+from planeopt.calibration.model import RUNGS, Model, Rung
+
+_log = logging.getLogger(__name__)
+
+LEVEL = 0.01
+"""Chance of adding a term that is not there; of terms of the base model none is left out (see `climb`)."""
+BASE: Rung = "tangential"
+"""The rung that is always climbed where nobody says otherwise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tested:
+    """A model against a smaller one.
+
+    Parameters
+    ----------
+    name : str
+        Of what the larger model has and the smaller one has not.
+    statistic : float
+        F: reduction of the weighted squares for each term, over the noise's variance.
+    dof : tuple of float
+        Number of terms, and degrees of freedom of the noise.
+    p_value : float
+        Of a statistic as large as this, if the terms were zero.
+    used : bool
+        Whether the calibration has the terms.
+    sentence : str
+    smaller, larger : mapping of str to (float, float)
+        Values and standard deviations of the free parameters of either model.
+    """
+
+    name: str
+    statistic: float
+    dof: tuple[float, float]
+    p_value: float
+    used: bool
+    sentence: str
+    smaller: Mapping[str, tuple[float, float]]
+    larger: Mapping[str, tuple[float, float]]
+
+
+def compare(name: str, smaller: Adjustment, larger: Adjustment, *, used: bool, words: str) -> Tested:
+    """Return the F test of two nested models with the same weights.
+
+    Parameters
+    ----------
+    name : str
+    smaller, larger : Adjustment
+        From `refit` of one and the same adjustment.
+    used : bool
+    words : str
+        What the terms are, to begin the sentence with.
+    """
+    terms = len(larger.names) - len(smaller.names)
+    freedom = larger.dof_corners
+    statistic = max(smaller.cost - larger.cost, 0.0) / terms
+    p_value = float(fisher.sf(statistic, terms, max(freedom, 1.0)))
+    seen = "the observations show" if p_value < LEVEL else "the observations do not show"
+    choice = "free in this calibration" if used else "not free in this calibration"
+    sentence = f"{words}: {seen} it (F = {statistic:.3g}, p = {p_value:.2g}); {choice}."
+    return Tested(name, statistic, (terms, freedom), p_value, used, sentence, _table(smaller), _table(larger))
+
+
+def _table(adjustment: Adjustment) -> dict[str, tuple[float, float]]:
+    return {name: (adjustment.value(name), adjustment.sigma(name)) for name in adjustment.names}
+
+
+_RUNG_WORDS: dict[Rung, str] = {
+    "none": "no distortion",
+    "k1": "radial distortion k1",
+    "k2": "radial distortion k2",
+    "tangential": "tangential distortion p1, p2",
+    "k3": "radial distortion k3",
+}
+
+
+def climb(observations: Observations, model: Model, rung: Rung | None) -> tuple[Adjustment, tuple[Tested, ...]]:
+    """Adjust on the right rung of the ladder of distortions.
+
+    All rungs are adjusted with the weights of the highest, and each is tested against the one below. Where none is
+    asked for, the base is kept whole and k3 is added if its test asks for it: a term that is left out because its test
+    sees nothing stays wrong by up to two of its standard deviations, and the principal point, which goes with p1 and
+    p2, by as many of its own, while its interval becomes much shorter than that.
+
+    Parameters
+    ----------
+    observations : Observations
+    model : Model
+        Its distortion is replaced.
+    rung : Rung or None
+        The one asked for.
+
+    Raises
+    ------
+    AdjustmentError
+        If the observations do not determine even the rung that is asked for, or the lowest.
+    """
+    top = _highest(observations, model, rung)
+    fits = {name: refit(top, replace(model, distortion=name)) for name in RUNGS[: RUNGS.index(top.model.distortion)]}
+    fits[top.model.distortion] = top
+    pairs = list(pairwise(RUNGS))
+    p_last = None
+    if rung is None:
+        chosen = min(BASE, top.model.distortion, key=RUNGS.index)
+        if "k3" in fits:
+            p_last = compare("k3", fits["tangential"], fits["k3"], used=True, words="").p_value
+            chosen = "k3" if p_last < LEVEL else chosen
+    else:
+        chosen = rung
+    tests = tuple(
+        compare(
+            upper,
+            fits[lower],
+            fits[upper],
+            used=RUNGS.index(upper) <= RUNGS.index(chosen),
+            words=_RUNG_WORDS[upper].capitalize(),
+        )
+        for lower, upper in pairs
+        if upper in fits
+    )
+    if chosen == top.model.distortion:
+        return top, tests
+    return adjust(observations, replace(model, distortion=chosen), start=fits[chosen].state), tests
+
+
+def _highest(observations: Observations, model: Model, rung: Rung | None) -> Adjustment:
+    """Return the adjustment of the highest rung that can be, at least the one asked for."""
+    least = RUNGS.index(rung or "none")
+    for name in reversed(RUNGS[least:]):
+        try:
+            return adjust(observations, replace(model, distortion=name))
+        except AdjustmentError:
+            if name == RUNGS[least]:
+                raise
+    raise AdjustmentError("There is no rung of distortions to adjust.")
+
+
+TERMS = ("warp", "aspect", "parallel", "divergence")
+"""What can be tested beside the distortions."""
+
+
+def compare_terms(adjustment: Adjustment, only: tuple[str, ...] = TERMS) -> dict[str, Tested]:
+    """Test the bow of the board, the pixels' squareness, the beam's parallelism and its divergence.
+
+    Parameters
+    ----------
+    adjustment : Adjustment
+        Of the model that was chosen.
+    only : tuple of str
+        Which of `TERMS`.
+
+    Returns
+    -------
+    dict of str to Tested
+        By `warp`, `aspect`, `parallel`, `divergence`; what cannot be tested is not there.
+    """
+    model = adjustment.model
+    pairs: dict[str, tuple[Model, Model, bool, str]] = {
+        "warp": (replace(model, warp=False), replace(model, warp=True), model.warp, "A bow of the board"),
+        "aspect": (
+            replace(model, focal="shared"),
+            replace(model, focal="separate"),
+            model.focal == "separate",
+            "A difference between fx and fy",
+        ),
+        "parallel": (
+            replace(model, beam="none" if model.beam == "none" else "parallel"),
+            replace(model, beam="none" if model.beam == "none" else "free"),
+            model.beam == "free",
+            "An angle between beam and optical axis",
+        ),
+        "divergence": (
+            replace(model, divergence=False),
+            replace(model, divergence=model.beam != "none"),
+            model.divergence,
+            "A divergence of the beam",
+        ),
+    }
+    found: dict[str, Tested] = {}
+    for name in only:
+        if model.beam == "none" and name in ("parallel", "divergence"):
+            continue
+        smaller, larger, used, words = pairs[name]
+        try:
+            fits = [adjustment if each == model else refit(adjustment, each) for each in (smaller, larger)]
+        except AdjustmentError as error:
+            _log.debug("%s cannot be tested: %s", name, error)
+            continue
+        found[name] = compare(name, fits[0], fits[1], used=used, words=words)
+    return found
+
+
+def parallelism(adjustment: Adjustment) -> tuple[float, float]:
+    """Return the angle between beam and optical axis and its standard deviation, rad.
+
+    The standard deviation is that of the direction's component along the angle; where the angle is not significant the
+    angle itself is not normal, and the test of `parallel` says what can be said.
+    """
+    names = ("direction_x", "direction_y")
+    x, y = (adjustment.value(name) for name in names)
+    angle = float(np.arcsin(np.hypot(x, y)))
+    if names[0] not in adjustment.names:
+        return angle, 0.0
+    rows = [adjustment.names.index(name) for name in names]
+    block = adjustment.covariance[np.ix_(rows, rows)]
+    along = np.array([x, y]) / np.hypot(x, y) if angle > 0 else np.array([1.0, 0.0])
+    return angle, float(np.sqrt(along @ block @ along) / np.cos(angle))
