@@ -50,9 +50,7 @@ def export_camera(rig: Rig, to: ExportFormat, *, name: str = "camera") -> str:
     if to not in _WRITERS:
         raise InputError(f"the format {to!r} is not known: it must be one of {', '.join(_WRITERS)}")
     if not _NAME.fullmatch(name):
-        raise InputError(
-            f"the camera's name must begin with a letter and have letters, digits and _ . / - only: {name!r}"
-        )
+        raise InputError(f"a camera's name begins with a letter and has letters, digits and _ . / - only, not {name!r}")
     program, write = _WRITERS[to]
     origin = f"{program}, written by planeopt {__version__}; px, pixel centres at integers"
     missing = left_out(rig)

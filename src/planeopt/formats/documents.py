@@ -21,6 +21,8 @@ Document = dict[str, Any]
 
 _ROOT = "opencv_storage"
 _ESCAPED_APOSTROPHE = re.compile(r"(?<!\\)((?:\\\\)*)\\'")
+# OpenCV's JSON may have comments, each to the end of its line; within a text there is a quotation mark still to come.
+_JSON_COMMENT = re.compile(r"(?<!\S)//[^\"\n]*$", re.MULTILINE)
 _DIRECTIVE = re.compile(r"\A\ufeff?%YAML[^\n]*")
 
 
@@ -74,7 +76,7 @@ def parse_yaml(text: str, source: str) -> Document:
     body = _ESCAPED_APOSTROPHE.sub(r"\1'", _DIRECTIVE.sub("", text))
     if body.lstrip().startswith("{"):
         # JSON may be indented with tabs, YAML may not.
-        body = body.replace("\t", " ")
+        body = _JSON_COMMENT.sub("", body.replace("\t", " "))
     try:
         document = yaml.load(body, Loader=_Loader)
     except yaml.MarkedYAMLError as error:

@@ -89,8 +89,8 @@ def from_opencv(
     notes = []
     if len(coefficients) < 5:
         notes.append(
-            f"{len(coefficients)} distortion coefficients: k3 was taken for 0; if they are cv2.fisheye's, this is another "
-            "model and the camera wrong"
+            f"{len(coefficients)} distortion coefficients: those that are missing were taken for 0; if they are of "
+            "cv2.fisheye, this is another model, and the camera is wrong"
         )
     return Imported.checked(source, size, (fx, fy, cx, cy), distortion, pixel_pitch_mm, notes)
 
