@@ -80,11 +80,10 @@ class ImageRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 class OptionsRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What was asked for; `expect` maps a name to a stated value and its tolerance."""
 
-    focal: str = "auto"
-    distortion: str = "auto"
-    warp: bool | Literal["auto"] = "auto"
-    beam: str = "free"
-    divergence: bool = False
+    focal: Literal["auto", "shared", "separate"] = "auto"
+    distortion: Literal["auto", "none", "k1", "k2", "tangential", "k3"] = "auto"
+    warp: bool = True
+    beam: Literal["free", "parallel", "none"] = "free"
     expect: dict[str, Pair] = msgspec.field(default_factory=dict)
 
 
@@ -191,15 +190,20 @@ class AdjustmentRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
 
 class TestRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A model against a smaller one: `values` holds what changes with it."""
+    """A model against a smaller one that lacks some terms, by an F test.
+
+    `dof` are the number of terms and the degrees of freedom of the noise; `used` says whether the calibration has the
+    terms; `smaller` and `larger` are the free parameters of either model, each with its standard deviation.
+    """
 
     name: str
-    statistic: float | None
-    dof: tuple[int, int]
-    p_value: float | None
-    accepted: bool
+    statistic: float
+    dof: Pair
+    p_value: float
+    used: bool
     sentence: str
-    values: dict[str, float | None]
+    smaller: dict[str, Pair]
+    larger: dict[str, Pair]
 
 
 class GateRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
