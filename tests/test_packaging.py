@@ -46,6 +46,7 @@ ROOMS = (
     "posterior",
     "comparison",
     "simulation",
+    "calibration",
     "formats",
     "reproduction",
     "report",
