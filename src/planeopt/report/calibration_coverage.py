@@ -26,7 +26,7 @@ def coverage(file: CalibrationFile) -> Picture:
         count, _, _ = np.histogram2d(*corners.T, bins=edges)
         empty = np.where(count.T > 0, np.nan, 0.0)
         axes.pcolormesh(*edges, empty, cmap="gray", vmin=-0.8, vmax=0.2, lw=0)
-        axes.plot(*corners.T, ".", ms=2.6, color=DARK, alpha=0.7, mew=0, label=f"{len(corners)} corners")
+        axes.plot(*corners.T, "o", ms=2.4, color=DARK, mew=0, label=f"{len(corners)} corners")
         spots = [view.spot for view in seen.views if view.spot is not None]
         for i, spot in enumerate(spots):
             around = _closed(np.array(spot.points_px))
@@ -65,6 +65,7 @@ def poses(adjustment: AdjustmentRecord) -> Picture:
         left.set_ylim(0, top)
         left.set_yticks(np.arange(10, top, 10), [f"{value:.0f}°" for value in np.arange(10, top, 10)])
         left.set_xticks(np.radians([0, 90, 180, 270]), ["right", "down", "left", "up"])
+        left.set_rlabel_position(np.degrees(_widest_gap(direction)))
         left.set_title("tilt of the boards, and where their far side lies", fontsize=9)
         left.grid(True)
         number = np.arange(1, len(views) + 1)
@@ -76,8 +77,16 @@ def poses(adjustment: AdjustmentRecord) -> Picture:
             places, depths = zip(*spots, strict=True)
             ratio = max(depths) / min(depths)
             right.plot(places, depths, "D", mfc="none", color=ELLIPSE, ms=6, label=f"spots, along the beam {ratio:.2f}")
-        right.set(xlabel="view", ylabel="depth (mm)", ylim=(0, None))
+        right.set(xlabel="view", ylabel="depth (mm)", xlim=(0.4, len(views) + 0.6), ylim=(0, None))
         right.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
         right.grid(True, axis="y")
         right.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False, borderpad=0.1)
         return picture(figure, "Tilts of the boards as points of a polar plot, and depths of boards and spots")
+
+
+def _widest_gap(directions: np.ndarray) -> float:
+    """Return the direction in the middle of where there are none, rad: room for labels."""
+    order = np.sort(directions)
+    gaps = np.diff([*order, order[0] + 2 * np.pi])
+    widest = int(np.argmax(gaps))
+    return float(order[widest] + gaps[widest] / 2)

@@ -39,7 +39,7 @@ def calibration_page(file: CalibrationFile) -> Page:
             _section("parameters", "Parameters", _parameters(file, data, found)),
             _section("cost", "What the calibration alone costs a plane", _cost(file, data)),
             _section("model", "Was the right model taken?", _model(file, data, found)),
-            _section("residuals", "What is left", _residuals(file, data, left, found)),
+            _section("residuals", "Residuals", _residuals(file, data, left, found)),
             _section("beam", "The beam", _beam(found)),
         ]
     sections += [
@@ -83,7 +83,7 @@ def _parameters(file: CalibrationFile, data: Data, found: AdjustmentRecord) -> I
     strongest = _strongest(found)
     if strongest is not None:
         pair, value = strongest
-        yield Text(JOINT.format(pair=pair, value=f"{value:+.3f}"), "note")
+        yield Text(JOINT.format(pair=pair, value=f"{value:+.4f}"), "note")
 
 
 def _strongest(found: AdjustmentRecord) -> tuple[str, float] | None:

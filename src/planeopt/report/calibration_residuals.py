@@ -17,6 +17,7 @@ Mask = NDArray[np.bool_]
 _ARROWS = 4000  # drawn at most
 _CELLS = 12  # across the image
 _PER_CELL = 4  # corners at least
+_SHARE = 28  # of the image's width takes an arrow of the key's length
 _CHANCE = 1e-3
 _DOTTED = 80  # views at most whose single residuals are drawn
 _REACH = 5.0  # sigma, of the strips
@@ -94,7 +95,7 @@ def vectors(file: CalibrationFile, left: Left) -> Picture:
         out = ~left.used
         if np.any(out):
             each.plot(*left.places[out].T, "x", color=REJECTED, ms=6, mew=1.6, label="left out by rule")
-            each.legend(loc="lower left", bbox_to_anchor=(0, 1.0), frameon=False, borderpad=0.1)
+            each.legend(loc="lower left", bbox_to_anchor=(0.17, 1.0), frameon=False, borderpad=0.1)
         drawn = "each corner" if step == 1 else f"one corner in {step}"
         each.set_title(drawn, loc="right")
         _means(means, left, width, height)
@@ -108,20 +109,20 @@ def vectors(file: CalibrationFile, left: Left) -> Picture:
 def _arrows(
     axes: Axes, places: Array, arrows: Array, unit: float, width: int, colour: str, *, thick: float = 1
 ) -> None:
-    """Draw arrows, one of length `unit` taking a twentieth of the image, and a key."""
+    """Draw arrows, one of length `unit` taking a share of the image, and a key above them."""
     drawn = axes.quiver(
         *places.T,
         *arrows.T,
         color=colour,
         angles="xy",
         scale_units="xy",
-        scale=20 * unit / width,
+        scale=_SHARE * unit / width,
         width=0.0022 * thick,
         headwidth=3.5,
         headlength=4,
         headaxislength=3.6,
     )
-    axes.quiverkey(drawn, 0.06, -0.155, unit, f"{unit:g} px", labelpos="E", coordinates="axes")
+    axes.quiverkey(drawn, 0.035, 1.045, unit, f"{unit:g} px", labelpos="E", coordinates="axes")
 
 
 def _means(axes: Axes, left: Left, width: int, height: int) -> None:

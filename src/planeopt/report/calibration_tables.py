@@ -56,11 +56,13 @@ def images(data: Data) -> Table:
                 board,
                 Cell(_SPOTS[image["spot"]]),
                 cell(data, f"images.{i}.n_corners", 0),
-                Cell(" ".join(reasons)),
+                Cell(" ".join(str(text) for text in reasons)),
             )
         )
     columns = ("image", "board", "spot", "corners", "")
-    return Table("Images", columns, tuple(rows), CAPTIONS["images"], words=3, last_in_words=True, key="images")
+    return Table(
+        "What became of each image", columns, tuple(rows), CAPTIONS["images"], words=3, last_in_words=True, key="images"
+    )
 
 
 _SPOTS = {"ok": "measured", "refused": "refused", "none": "-"}
@@ -75,14 +77,18 @@ def parameters(data: Data) -> Table:
     for at in places:
         one = value_at(data, at)
         count = decimals(one["sigma"])
-        row = [Cell(NAMES.get(one["name"], one["name"])), cell(data, f"{at}.value", count)]
+        row = [Cell(_named(one["name"])), cell(data, f"{at}.value", count)]
         row += [_sigma(data, f"{at}.sigma"), pair(data, f"{at}.low95", f"{at}.high95", count)]
         if before:
             old = before.get(one["name"])
             row.append(DASH if old is None else cell(data, f"adjustment.with_all.{old}.value", count))
         rows.append(tuple(row))
     columns = ("", "value", "sigma", "95 % interval", *(("with all observations",) if before else ()))
-    return Table("Parameters", columns, tuple(rows), CAPTIONS["parameters"], key="parameters")
+    return Table("Values and intervals", columns, tuple(rows), CAPTIONS["parameters"], key="parameters")
+
+
+def _named(name: str) -> str:
+    return NAMES.get(name, name)
 
 
 def _sigma(data: Data, key: str) -> Cell:
@@ -193,7 +199,7 @@ def folds(data: Data) -> Table:
                 cell(data, f"{at}.error_px", 3),
                 cell(data, f"{at}.expected_px", 3),
                 cell(data, f"{at}.largest_shift", 2),
-                Cell(NAMES.get(fold["parameter"] or "", fold["parameter"] or "-")),
+                Cell(_named(fold["parameter"] or "-")),
             )
         )
     columns = ("left out", "error (px)", "expected (px)", "largest shift (sigma)", "of")

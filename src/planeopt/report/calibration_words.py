@@ -73,11 +73,12 @@ CAPTIONS = {
         "views too much alike: more tilt, more depths."
     ),
     "cost": (
-        "Standard deviations that the calibration alone gives a plane, without the noise of its spot: filled, from the "
-        "joint covariance, which is what is saved and what planes are given; hollow, what camera and beam would give "
-        "as if independent of each other; cross, what e_x and e_y would give on their own. Good: the filled dots well "
-        "below what is needed of a plane, and far left of the others: an error of the principal point comes with one "
-        "of the beam that undoes it."
+        "Standard deviations that the calibration alone gives a plane, without the noise of its spot. Filled: from the "
+        "joint covariance, which is what rig.toml holds and planes are given. Hollow: what the same standard "
+        "deviations would give if camera and beam were taken as independent of each other. Cross: those of e_x and e_y "
+        "alone. Good: the filled dots well below what a plane has to be known to. How far left of the hollow ones they "
+        "are shows what the joint covariance is worth: an error of the principal point comes with one of the beam that "
+        "undoes it."
     ),
     "costs": (
         "The same in numbers; the tilt is that of the plane, beta its direction. Good: sigma well below what a plane "
