@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 WORKERS ?= 2
 
-.PHONY: demo test lint types bench studies docs clean
+.PHONY: demo test test-oldest lint types bench studies docs clean
 
 $(READY): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -27,6 +27,23 @@ types: $(READY)
 test: lint types
 	$(BIN)/pytest -n $(WORKERS)
 
+# The other end of what pyproject.toml allows: the oldest versions of everything, OpenCV 4.10 among them, and the tests
+# that reach it. Wheels of all of them exist for Python 3.11 and 3.12.
+OLDEST_PYTHON ?= $(shell for python in python3.11 python3.12; do $$python -V >/dev/null 2>&1 && echo $$python && break; done)
+OLDEST := .venv-oldest
+OLDEST_READY := $(OLDEST)/.ready
+OLDEST_TESTS ?= $(wildcard $(addprefix tests/test_,batch.py board*.py calibration*.py cli*.py detection*.py formats*.py \
+	rig_camera.py simulation*.py spot*.py))
+
+$(OLDEST_READY): pyproject.toml tests/oldest.py
+	$(or $(OLDEST_PYTHON),$(PYTHON)) -m venv $(OLDEST)
+	$(OLDEST)/bin/python tests/oldest.py > $(OLDEST)/constraints.txt
+	$(OLDEST)/bin/python -m pip install --quiet --only-binary :all: --constraint $(OLDEST)/constraints.txt --editable '.[test]'
+	touch $(OLDEST_READY)
+
+test-oldest: $(OLDEST_READY)
+	$(OLDEST)/bin/pytest -n $(WORKERS) $(OLDEST_TESTS)
+
 bench: $(READY)
 	$(BIN)/pytest benchmarks -p no:cacheprovider
 
@@ -44,4 +61,4 @@ docs: $(READY)
 		planeopt $(ROOMS:%=planeopt.%) '!planeopt[.].*[.].*'
 
 clean:
-	rm -rf $(VENV) demo-output docs/api build dist .pytest_cache .ruff_cache .hypothesis .benchmarks
+	rm -rf $(VENV) $(OLDEST) demo-output docs/api build dist .pytest_cache .ruff_cache .hypothesis .benchmarks

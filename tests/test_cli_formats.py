@@ -1,6 +1,7 @@
 """`planeopt export` and `planeopt import`: what they write, what they say, what they refuse."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -121,3 +122,12 @@ def test_force_overwrites(tmp_path: Path):
     file.write_text("old", encoding="utf-8")
     assert main(["export", "--rig", str(RIG_FILE), "--to", "opencv", "-o", str(file), "--force"]) == 0
     assert file.read_text(encoding="utf-8").startswith("%YAML:1.0\n---\n")
+
+
+def test_the_documents_show_what_is_written():
+    text = (Path(__file__).parents[1] / "docs" / "formats.md").read_text(encoding="utf-8")
+    shown = re.findall(r"^```(?:yaml|python)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    formats: tuple[ExportFormat, ...] = ("ros", "opencv", "kalibr", "mrcal")
+    for to, block in zip(formats, shown, strict=True):
+        # All but the comment at the head.
+        assert re.sub(r"^#.*\n", "", export_camera(EXAMPLE, to), flags=re.MULTILINE) == block
