@@ -111,7 +111,11 @@ def design(
         paper = paper_of("A4") if wanted is None else paper_for(wishes.board(wanted), name=name, margin_mm=margin_mm)
     if wishes.square_mm is not None:
         return wishes.board(wishes.square_mm), paper
-    largest = max(paper.size_mm) / min(wishes.squares) if wanted is None else wanted[0]
+    width, height = paper.size_mm
+    columns, rows = wishes.squares
+    # Without anything round the board, in the better of both positions.
+    largest = max(min(width / columns, height / rows), min(height / columns, width / rows))
+    largest = largest if wanted is None else min(largest, wanted[0])
     bare = replace(wishes, marker_mm=None, window_mm=None)
     for side in _sides_below(largest):
         # First whether the squares fit, so that a marker or a spot without room is refused at a size that could be.
@@ -119,8 +123,7 @@ def design(
             board = wishes.board((side, side))
             if paper.holding(needed_mm(board, name, margin_mm)):
                 return board, paper
-    columns, rows = wishes.squares
-    raise InputError(f"{columns} x {rows} squares with rulers, words and margins do not fit {paper.name} at any size")
+    raise InputError(f"{columns} x {rows} squares with rulers, words and margins do not fit {paper} at any size")
 
 
 def paper_for(board: Board, *, name: str = "board.pdf", margin_mm: float = MARGIN_MM) -> Paper:

@@ -36,6 +36,7 @@ def as_pdf(page: Page) -> bytes:
     canvas.setSubject("ChArUco board at true scale; print at 100 %")
     canvas.setAuthor("planeopt")
     canvas.setCreator("planeopt")
+    canvas.setProducer("planeopt")
     canvas.setViewerPreference("PrintScaling", "None")
     canvas.setFillGray(0)
     x, y = page.origin_mm

@@ -3,6 +3,7 @@
 All is in mm from the sheet's top left corner, x right, y down.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +30,7 @@ _LEADING = 2.9  # mm
 _LABEL = 4.5  # mm, room for a ruler's numbers
 _STRIP = _TICKS[10] + _LABEL
 _RULERS = (500, 200, 100, 50, 20, 10)  # mm
-_RULER_SHARE = 0.62  # of the board's shorter side
+_RULER_SHARE = 0.9  # of the board's shorter side
 _BESIDE = 95.0  # mm: words stand beside the ruler where they have as much
 _NARROWEST = 60.0
 
@@ -111,8 +112,8 @@ def lay_out(board: Board, paper: Paper, name: str, *, margin_mm: float = MARGIN_
     if size is None:
         raise InputError(
             f"a board of {board.squares[0]} x {board.squares[1]} squares of {sides_in_words(board)} needs a sheet of "
-            f"{needed[0]:.0f} x {needed[1]:.0f} mm with rulers, words and margins, but {paper.name} has "
-            f"{paper.size_mm[0]:g} x {paper.size_mm[1]:g} mm: take larger paper, or smaller or fewer squares"
+            f"{math.ceil(needed[0])} x {math.ceil(needed[1])} mm with rulers, words and margins, which does not fit "
+            f"{paper}: take larger paper, or smaller or fewer squares"
         )
     left, top = (size[0] - block.width) / 2, (size[1] - block.height) / 2
     shift = np.array([left, top, left, top])

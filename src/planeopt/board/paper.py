@@ -39,6 +39,11 @@ class Paper:
     name: str
     size_mm: tuple[float, float]
 
+    def __str__(self) -> str:
+        """Return the name and, where it does not say it, the size."""
+        size = _in_words(self.size_mm)
+        return size if self.name == size else f"{self.name} ({size})"
+
     def holding(self, needed_mm: tuple[float, float]) -> tuple[float, float] | None:
         """Return (width, height) in the position in which something has room, lying where both do; None if neither."""
         width, height = sorted(self.size_mm, reverse=True)
@@ -69,4 +74,8 @@ def paper_of(name: str) -> Paper:
         raise InputError(f"paper {name!r} is not known: give {', '.join(PAPERS)}, or width x height in mm as 300x200")
     if not all(_LIMITS[0] <= side <= _LIMITS[1] for side in size):
         raise InputError(f"paper {name!r}: its sides must be {_LIMITS[0]:g} to {_LIMITS[1]:g} mm")
-    return Paper(f"{size[0]:g} x {size[1]:g} mm", size)
+    return Paper(_in_words(size), size)
+
+
+def _in_words(size_mm: tuple[float, float]) -> str:
+    return f"{size_mm[0]:g} x {size_mm[1]:g} mm"

@@ -246,10 +246,7 @@ def _say(
     lines = [
         f"board: {drawn.squares[0]} x {drawn.squares[1]} squares of {sides_in_words(drawn)}, {drawn.dictionary}, "
         f"{window}, {int(drawn.printed.sum())} corners",
-        *(
-            f"sheet: {page.paper.name}, {page.size_mm[0]:g} x {page.size_mm[1]:g} mm, print at 100 %"
-            for page in pages[:1]
-        ),
+        *(f"sheet: {page.paper.name}, {_lying(page)}; print at 100 %" for page in pages[:1]),
     ]
     if final != drawn:
         x, y = (100 * (now / before - 1) for now, before in zip(final.square_mm, drawn.square_mm, strict=True))
