@@ -12,6 +12,7 @@ from planeopt.simulation.board_faults import (
     stretched,
     wrong_scale_session,
 )
+from planeopt.simulation.board_look import BoardSurface
 from planeopt.simulation.board_random import (
     Setting,
     Shooting,
@@ -21,6 +22,7 @@ from planeopt.simulation.board_random import (
     shot_poses,
     tilted,
 )
+from planeopt.simulation.board_render import BoardScene, board_light, render_board, render_session
 from planeopt.simulation.board_sessions import SimulatedSession, board_views, simulated_session
 from planeopt.simulation.board_views import BoardPoses, BoardView
 from planeopt.simulation.file import load_scene, save_scene, scene_sources
@@ -33,6 +35,8 @@ from planeopt.simulation.tables import BeamProfile, Clutter, Noise, Occlusion, O
 __all__ = [
     "BeamProfile",
     "BoardPoses",
+    "BoardScene",
+    "BoardSurface",
     "BoardView",
     "Clutter",
     "Noise",
@@ -47,6 +51,7 @@ __all__ = [
     "Surface",
     "Sweep",
     "aimed",
+    "board_light",
     "board_views",
     "boundary_distances",
     "bowed_session",
@@ -62,6 +67,8 @@ __all__ = [
     "random_session",
     "random_setting",
     "render",
+    "render_board",
+    "render_session",
     "save_scene",
     "scene_schema",
     "scene_sources",

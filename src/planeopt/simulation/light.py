@@ -10,24 +10,18 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
 
 from planeopt.errors import InputError
 from planeopt.simulation.geometry import FAR, View
 from planeopt.simulation.profiles import irradiance, is_even, plateau, reach, softness, unevenness
+from planeopt.simulation.sampling import BEND, ENOUGH, Sampling, edge_distance, kernel, smoothed_disc
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Smoothing in samples at which what lies beyond the sampling limit is below 3e-4 of the edge's own spectrum there.
-_ENOUGH = 0.65
-_TAIL = 5.5
 _FINE, _COARSE = 8, 4
 _FACTORS = (_COARSE, _FINE, 16, 32)
-# Curvature times smoothing up to which the closed form, of first order in it, leaves 1e-5 px.
-_BEND = 0.05
 _SAMPLES = 4_000_000
 """How many to hold at a time."""
 # Beyond this distance from a sharp edge its light is flat to 1e-12, with the error of the distance allowed for.
@@ -55,25 +49,6 @@ class Patch:
         """Rows and columns of the image."""
         height, width = self.light.shape
         return slice(self.top, self.top + height), slice(self.left, self.left + width)
-
-
-@dataclass(frozen=True)
-class _Sampling:
-    """How finely to sample: s a pixel and axis, and the two parts of the blur, px."""
-
-    factor: int
-    closed: float
-    summed: float
-
-    @property
-    def offsets(self) -> Array:
-        """Places of the samples in a pixel (s,), px from its centre."""
-        return (np.arange(self.factor) + 0.5) / self.factor - 0.5
-
-    @property
-    def margin(self) -> int:
-        """How many pixels away the kernel still takes light from."""
-        return math.ceil(_TAIL * self.summed + 0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +111,7 @@ def spot_patch(view: View, rng: np.random.Generator) -> Patch:
     return Patch(left, top, light)
 
 
-def _sampling(view: View) -> _Sampling:
+def _sampling(view: View) -> Sampling:
     """Choose how finely to sample a scene.
 
     Raises
@@ -150,26 +125,26 @@ def _sampling(view: View) -> _Sampling:
     outline = view.outline(theta)
     width = _narrowest(view, outline, softness(beam, scene.rig.require_beam().radius))
     for factor in (1, 2, _COARSE, _FINE):
-        if width * factor >= 2 * _ENOUGH and blur * factor >= _ENOUGH:
-            return _Sampling(factor, 0.0, blur)
+        if width * factor >= 2 * ENOUGH and blur * factor >= ENOUGH:
+            return Sampling(factor, 0.0, blur)
     for factor in (_COARSE, _FINE):
-        if width * factor >= _ENOUGH:
-            return _Sampling(factor, 0.0, blur)
+        if width * factor >= ENOUGH:
+            return Sampling(factor, 0.0, blur)
     if beam.kind == "ring":
         raise InputError(
             f"beam.line_mm: the ring's line is {width:.2g} px wide in the image where it is narrowest (standard "
-            f"deviation); at least {_ENOUGH / _FINE:.2g} px can be rendered"
+            f"deviation); at least {ENOUGH / _FINE:.2g} px can be rendered"
         )
     sharpest = view.sharpest()
-    if sharpest * _ENOUGH > _FACTORS[-1]:
+    if sharpest * ENOUGH > _FACTORS[-1]:
         raise InputError(
             f"plane: the spot is seen so much from the side that its image has tips of radius {1 / sharpest:.1g} px; "
-            f"at least {_ENOUGH / _FACTORS[-1]:.1g} px can be rendered"
+            f"at least {ENOUGH / _FACTORS[-1]:.1g} px can be rendered"
         )
-    finest = min(_BEND / sharpest, blur / 2)
-    factor = next((factor for factor in _FACTORS if _ENOUGH / factor <= finest), _FACTORS[-1])
-    closed = _ENOUGH / factor
-    return _Sampling(factor, closed, math.sqrt(blur**2 - closed**2))
+    finest = min(BEND / sharpest, blur / 2)
+    factor = next((factor for factor in _FACTORS if ENOUGH / factor <= finest), _FACTORS[-1])
+    closed = ENOUGH / factor
+    return Sampling(factor, closed, math.sqrt(blur**2 - closed**2))
 
 
 def _narrowest(view: View, outline: Array, width_mm: float) -> float:
@@ -211,12 +186,7 @@ def _survey(view: View, left: int, top: int, right: int, bottom: int) -> _Pixels
     xx, xy, yy = np.gradient(dx, axis=1), np.gradient(dx, axis=0), np.gradient(dy, axis=0)
     bend = nx * nx * xx + 2 * nx * ny * xy + ny * ny * yy
     curving = ny * ny * xx - 2 * nx * ny * xy + nx * nx * yy
-    return _Pixels(rays, by_px, xi, np.hypot(*xi), _distance(level, steepness, bend), curving, bend)
-
-
-def _distance(level: Array, steepness: Array, bend: Array) -> Array:
-    """Return the distance from where a quadratic is zero along its gradient: exact for circles."""
-    return 2 * level / (steepness + np.sqrt(np.maximum(steepness * steepness - 2 * level * bend, 0.0)))
+    return _Pixels(rays, by_px, xi, np.hypot(*xi), edge_distance(level, steepness, bend), curving, bend)
 
 
 def _slope(view: View, rays: Array, by_px: Array) -> tuple[Array, Array, Array]:
@@ -231,7 +201,7 @@ def _active(pixels: _Pixels, inner: float, outer: float) -> Mask:
     return (near | ((pixels.rho > inner) & (pixels.rho < outer))) & (pixels.rho < FAR)
 
 
-def _fine_values(view: View, pixels: _Pixels, uneven: Array, active: Mask, sampling: _Sampling) -> Array:
+def _fine_values(view: View, pixels: _Pixels, uneven: Array, active: Mask, sampling: Sampling) -> Array:
     """Return the light at the samples (n, s, s) of the active pixels: rows, then columns."""
     scene = view.scene
     beam, radius = scene.beam, scene.rig.require_beam().radius
@@ -259,20 +229,16 @@ def _smoothed_edge(view: View, pixels: _Pixels, active: Mask, rays: Array, blur:
     scene = view.scene
     level, dx, dy = _slope(view, rays, pixels.rays_by_px[:, :, active, None])
     steepness = np.maximum(np.hypot(dx, dy), 1e-12)
-    # A blurred convex edge draws back by half its curvature times the blur squared.
-    drawn = 0.5 * blur**2 * pixels.curving[active, None] / steepness
-    distance = _distance(level, steepness, pixels.bend[active, None]) + drawn
     soft = scene.beam.edge_mm / scene.rig.require_beam().radius / steepness
-    # Where the profile's middle lies if the beam's radius is at another level than half.
-    middle = float(ndtri(scene.beam.level)) * soft
-    return ndtr((middle - distance) / np.hypot(soft, blur))
+    distance = edge_distance(level, steepness, pixels.bend[active, None])
+    return smoothed_disc(distance, pixels.curving[active, None] / steepness, soft, scene.beam.level, blur)
 
 
-def _sum(values: Array, active: Mask, fine: Array, sampling: _Sampling) -> Array:
+def _sum(values: Array, active: Mask, fine: Array, sampling: Sampling) -> Array:
     """Return the light of the pixels inside the margin: the kernel's sum over all samples."""
     s = sampling.factor
     height, width = values.shape
-    across = _kernel(width, sampling)
+    across = kernel(width, sampling)
     columns = np.empty((height * s, width - 2 * sampling.margin))
     last = 0
     strip = max(1, _SAMPLES // (width * s * s))
@@ -285,16 +251,4 @@ def _sum(values: Array, active: Mask, fine: Array, sampling: _Sampling) -> Array
         samples[row, :, column, :] = fine[last : last + count]
         last += count
         columns[rows.start * s : rows.stop * s] = (across @ samples.reshape(-1, width * s).T).T
-    return np.asarray(_kernel(height, sampling) @ columns)
-
-
-def _kernel(count: int, sampling: _Sampling) -> scipy.sparse.csr_array:
-    """Return the matrix that takes samples (count s,) of a line to its pixels (count - 2 margin,)."""
-    s, margin = sampling.factor, sampling.margin
-    place = (np.arange((2 * margin + 1) * s) + 0.5) / s - 0.5 - margin
-    weight = ndtr((place + 0.5) / sampling.summed) - ndtr((place - 0.5) / sampling.summed)
-    weight /= weight.sum()
-    pixels = count - 2 * margin
-    column = np.arange(pixels)[:, None] * s + np.arange(len(place))
-    start = np.arange(pixels + 1) * len(place)
-    return scipy.sparse.csr_array((np.tile(weight, pixels), column.ravel(), start), shape=(pixels, count * s))
+    return np.asarray(kernel(height, sampling) @ columns)

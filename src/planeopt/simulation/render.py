@@ -150,7 +150,7 @@ def _light(look: View, seed: int, laser: bool) -> Array:
             cover = cover[..., None]
         light = light + cover * (obstacle.brightness - light)
     if scene.optics.vignetting > 0:
-        through = surroundings.vignetting(look)
+        through = surroundings.falloff(scene.rig.camera, scene.optics.vignetting)
         light = light * (through[..., None] if scene.sensor.color else through)
     return light
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from planeopt.errors import InputError
+from planeopt.rig import Camera
 from planeopt.simulation.geometry import View, arc_points, view_distances
 from planeopt.simulation.tables import Clutter, Occlusion
 
@@ -30,10 +31,8 @@ def background(view: View) -> Array:
     return np.maximum(surface.background + surface.gradient[0] * x + surface.gradient[1] * y[:, None], 0.0)
 
 
-def vignetting(view: View) -> Array:
-    """Return the share (H, W) of the light that the lens lets through."""
-    lost = view.scene.optics.vignetting
-    camera = view.scene.rig.camera
+def falloff(camera: Camera, lost: float) -> Array:
+    """Return the share (H, W) of the light that a lens lets through that loses so much in the furthest corner."""
     width, height = camera.image_size
     x, y = np.arange(width) - camera.cx, np.arange(height) - camera.cy
     squares = x**2 + (y**2)[:, None]
