@@ -1,17 +1,17 @@
 """A calibration of a simulated session as its file holds it, with a hand-made verdict: for tests of file and page."""
 
 from functools import cache
+from typing import Literal
 
 import msgspec
-import numpy as np
 
+from planeopt.calibration.adjusted import adjustment_record
 from planeopt.calibration.adjustment import adjust
 from planeopt.calibration.model import Model
 from planeopt.calibration.observed import observations_record
 from planeopt.calibration.pose_cost import pose_cost, working_planes
 from planeopt.calibration.record import (
     CalibrationFile,
-    CostRecord,
     FoldRecord,
     GateRecord,
     HeldOutRecord,
@@ -20,7 +20,7 @@ from planeopt.calibration.record import (
     OptionsRecord,
     TestRecord,
 )
-from planeopt.calibration.recording import adjustment_record, provenance
+from planeopt.calibration.recording import cost_record, provenance
 from planeopt.simulation.board_random import random_session
 from planeopt.simulation.board_sessions import SimulatedSession
 
@@ -59,9 +59,9 @@ def calibration_file() -> CalibrationFile:
         message="The board is bowed.",
         forced=False,
         gates=(
-            GateRecord(name="views", state="ok", value=30.0, limits=(10.0, 3.0), sentence="30 views are enough."),
-            GateRecord(name="condition", state="warn", value=found.condition, limits=(500.0, 1e4), sentence="So <so>."),
-            GateRecord(name="twins", state="ok", value=None, limits=(None, None), sentence="Nothing to judge."),
+            _gate("views", "ok", 30.0, (10.0, 3.0)),
+            _gate("condition", "warn", found.condition, (500.0, 1e4)),
+            _gate("twins", "ok", None, (None, None)),
         ),
         next_view=NextViewRecord(
             sentence="Tilt the board by 40 deg about its vertical axis, 400 mm away.",
@@ -71,15 +71,8 @@ def calibration_file() -> CalibrationFile:
         ),
         options=OptionsRecord(expect={"radius": (14.2, 0.1)}),
         images=(
-            ImageRecord(name="a.png", status="ok", reason="", n_corners=88, spot="ok", spot_reason=""),
-            ImageRecord(
-                name="<b>.png",
-                status="refused",
-                reason="No marker was found.",
-                n_corners=0,
-                spot="none",
-                spot_reason="",
-            ),
+            _image("a.png", "", 88),
+            _image("<b>.png", "No marker was found.", 0),
         ),
         adjustment=adjustment_record(found),
         ladder=(flat, msgspec.structs.replace(flat, name="k3", p_value=0.4, used=False)),
@@ -95,19 +88,25 @@ def calibration_file() -> CalibrationFile:
                 ),
             ),
         ),
-        cost=tuple(
-            CostRecord(
-                z_L_mm=one.z_L,
-                alpha_deg=float(np.degrees(one.alpha)),
-                beta_deg=None if one.beta is None else float(np.degrees(one.beta)),
-                sigma_z_L_mm=one.sigma_z_L,
-                sigma_normal_deg=float(np.degrees(one.sigma_normal)),
-                independent_z_L_mm=one.independent_z_L,
-                independent_normal_deg=float(np.degrees(one.independent_normal)),
-                offset_z_L_mm=one.offset_z_L,
-                offset_normal_deg=float(np.degrees(one.offset_normal)),
-            )
-            for one in planes
-        ),
+        cost=tuple(cost_record(one) for one in planes),
         observations=observations_record(observations),
     )
+
+
+def _image(name: str, reason: str, corners: int) -> ImageRecord:
+    return ImageRecord(
+        name=name,
+        status="refused" if reason else "ok",
+        reason=reason,
+        n_corners=corners,
+        spot_status="none" if reason else "ok",
+        spot_reason="",
+        spot_flags=(),
+        blur_px=0.8,
+    )
+
+
+def _gate(
+    name: str, state: Literal["ok", "warn", "refuse"], value: float | None, limits: tuple[float | None, float | None]
+) -> GateRecord:
+    return GateRecord(name=name, state=state, value=value, limits=limits, sentence=f"So <so>: {name}.", symptom=False)

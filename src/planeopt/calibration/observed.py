@@ -3,9 +3,11 @@
 import numpy as np
 
 from planeopt.board import Board, Observations, View
+from planeopt.calibration.detection import Detected, ImageStatus
 from planeopt.calibration.record import (
     BoardRecord,
     CalibrationFile,
+    ImageRecord,
     ObservationsRecord,
     Pair,
     SpotRecord,
@@ -59,6 +61,51 @@ def _spot_record(spot: Spot) -> SpotRecord:
     )
 
 
+def image_record(image: ImageStatus) -> ImageRecord:
+    """Return what became of an image as it stands in the file."""
+    return ImageRecord(
+        name=image.name,
+        status=image.status,
+        reason=image.reason,
+        n_corners=image.n_corners,
+        spot_status=image.spot_status,
+        spot_reason=image.spot_reason,
+        spot_flags=tuple(flag.name.lower() for flag in image.spot_flags),
+        blur_px=float(image.blur),
+    )
+
+
+def detected_from_record(record: CalibrationFile) -> Detected:
+    """Return what a calibration started from: what was seen, and what became of each image.
+
+    Raises
+    ------
+    InputError
+        If the record contradicts itself.
+    """
+    images = tuple(
+        ImageStatus(
+            name=image.name,
+            status=image.status,
+            reason=image.reason,
+            n_corners=image.n_corners,
+            spot_status=image.spot_status,
+            spot_reason=image.spot_reason,
+            spot_flags=_flags(image.spot_flags, image.name),
+            blur=image.blur_px,
+        )
+        for image in record.images
+    )
+    return Detected(observations_from_record(record), images)
+
+
+def _flags(names: tuple[str, ...], image: str) -> tuple[SpotFlag, ...]:
+    unknown = next((name for name in names if name.upper() not in SpotFlag.__members__), None)
+    if unknown is not None:
+        raise InputError(f"{image}: the spot has the unknown flag {unknown!r}")
+    return tuple(SpotFlag[name.upper()] for name in names)
+
+
 def pairs(array: np.ndarray) -> tuple[Pair, ...]:
     """Return the rows (N, 2) of an array as tuples."""
     return tuple((float(x), float(y)) for x, y in array)
@@ -90,9 +137,6 @@ def _view(record: ViewRecord) -> View:
 
 
 def _spot(record: SpotRecord, name: str) -> Spot:
-    unknown = next((flag for flag in record.flags if flag.upper() not in SpotFlag.__members__), None)
-    if unknown is not None:
-        raise InputError(f"{name}: the spot has the unknown flag {unknown!r}")
     return Spot(
         points=_rows(record.points_px),
         sigma=None if record.sigma_px is None else np.array(record.sigma_px),
@@ -102,7 +146,7 @@ def _spot(record: SpotRecord, name: str) -> Spot:
         blur=record.blur_px,
         saturation=record.saturation,
         noise=record.noise,
-        flags=tuple(SpotFlag[flag.upper()] for flag in record.flags),
+        flags=_flags(record.flags, name),
         source=name,
     )
 

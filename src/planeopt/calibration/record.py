@@ -67,14 +67,16 @@ class ObservationsRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 
 
 class ImageRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What became of an image: `status` and `reason` of the board, `spot` and `spot_reason` of the spot on it."""
+    """What became of an image, its corners and its spot, and why; `blur_px` is that of the board's edges."""
 
     name: str
     status: Literal["ok", "refused"]
     reason: str
     n_corners: int
-    spot: Literal["ok", "refused", "none"]
+    spot_status: Literal["ok", "refused", "none"]
     spot_reason: str
+    spot_flags: tuple[str, ...]
+    blur_px: float
 
 
 class OptionsRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -207,13 +209,17 @@ class TestRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class GateRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One condition of a good session; `limits` are those of a warning and of a refusal."""
+    """One condition of a good session; `limits` are those of a warning and of a refusal.
+
+    Of a `symptom` something else is the cause as a rule.
+    """
 
     name: str
     state: Literal["ok", "warn", "refuse"]
     value: float | None
-    limits: tuple[float | None, ...]
+    limits: tuple[float | None, float | None]
     sentence: str
+    symptom: bool
 
 
 class NextViewRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -1,42 +1,32 @@
-"""From a calibration to `calibration.json`, and back to what it started from."""
+"""From a calibration to `calibration.json`."""
 
 import importlib.metadata
 import math
 import platform
-from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
-from typing import Any
 
 import cv2
-import numpy as np
-from numpy.typing import NDArray
 
 from planeopt import __version__
-from planeopt.board import View
-from planeopt.calibration.adjustment import Adjustment
-from planeopt.calibration.observed import pairs
+from planeopt.calibration.adjusted import adjustment_record, triple, triples
+from planeopt.calibration.calibrate import Calibration, Options
+from planeopt.calibration.gate import Gate
+from planeopt.calibration.held_out import HeldOut
+from planeopt.calibration.ladder import Tested
+from planeopt.calibration.next_view import NextView
+from planeopt.calibration.observed import image_record, observations_record
+from planeopt.calibration.pose_cost import PoseCost
 from planeopt.calibration.record import (
-    AdjustmentRecord,
-    CovarianceRecord,
-    ModelRecord,
-    NoiseRecord,
-    ParameterRecord,
+    CalibrationFile,
+    CostRecord,
+    FoldRecord,
+    GateRecord,
+    HeldOutRecord,
+    NextViewRecord,
+    OptionsRecord,
     Provenance,
-    SectionRecord,
-    Triple,
-    ViewFit,
+    TestRecord,
 )
-from planeopt.calibration.sections import BeamSection, sections
-
-Array = NDArray[np.float64]
-
-WITHIN = 1.959963984540054
-"""Standard deviations: 95 % of a Gaussian."""
-
-_UNITS = {
-    **dict.fromkeys(("f", "fx", "fy", "cx", "cy"), "px"),
-    **dict.fromkeys(("warp_x", "warp_y", "e_x", "e_y", "radius"), "mm"),
-}
 
 
 def versions() -> dict[str, str]:
@@ -63,159 +53,115 @@ def provenance(session: str, *, command: str, seed: int, when: datetime | None) 
     return Provenance(versions=versions(), session=session, command=command, seed=seed, time=time)
 
 
-def adjustment_record(adjustment: Adjustment) -> AdjustmentRecord:
-    """Return an adjustment as it stands in the file."""
-    before = adjustment.before
-    model = adjustment.model
-    return AdjustmentRecord(
-        model=ModelRecord(
-            focal=model.focal,
-            distortion=model.distortion,
-            warp=model.warp,
-            beam=model.beam,
-            divergence=model.divergence,
+def calibration_file(calibration: Calibration, came: Provenance, *, forced: bool = False) -> CalibrationFile:
+    """Return a calibration as its file holds it.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    came : Provenance
+    forced : bool
+        Whether a refused rig is used all the same.
+    """
+    found = calibration.adjustment
+    return CalibrationFile(
+        planeopt=__version__,
+        provenance=came,
+        verdict=calibration.verdict,
+        message=calibration.message,
+        forced=forced and calibration.verdict == "refused" and found is not None,
+        gates=tuple(_gate(gate) for gate in calibration.gates),
+        next_view=None if calibration.next_view is None else _next_view(calibration.next_view),
+        options=_options(calibration.options),
+        images=tuple(image_record(image) for image in calibration.images),
+        adjustment=None if found is None else adjustment_record(found),
+        ladder=tuple(_test(test) for test in calibration.ladder),
+        tests={name: _test(test) for name, test in calibration.tests.items()},
+        held_out=None if calibration.held_out is None else _held_out(calibration.held_out),
+        cost=tuple(cost_record(cost) for cost in calibration.cost),
+        observations=observations_record(calibration.observations),
+    )
+
+
+def options_from_record(record: CalibrationFile) -> Options:
+    """Return what was asked of a calibration."""
+    asked = record.options
+    return Options(**{name: getattr(asked, name) for name in OptionsRecord.__struct_fields__})
+
+
+def _options(options: Options) -> OptionsRecord:
+    expect = {name: (float(value), float(room)) for name, (value, room) in options.expect.items()}
+    return OptionsRecord(
+        focal=options.focal, distortion=options.distortion, warp=options.warp, beam=options.beam, expect=expect
+    )
+
+
+def _gate(gate: Gate) -> GateRecord:
+    warn, refuse = (_number(limit) for limit in gate.limits)
+    return GateRecord(
+        name=gate.name,
+        state=gate.state,
+        value=_number(gate.value),
+        limits=(warn, refuse),
+        sentence=gate.sentence,
+        symptom=gate.symptom,
+    )
+
+
+def _next_view(view: NextView) -> NextViewRecord:
+    return NextViewRecord(
+        sentence=view.sentence, rotation=triples(view.R), translation_mm=triple(view.t), gain=float(view.gain)
+    )
+
+
+def _test(test: Tested) -> TestRecord:
+    terms, freedom = test.dof
+    return TestRecord(
+        name=test.name,
+        statistic=float(test.statistic),
+        dof=(float(terms), float(freedom)),
+        p_value=float(test.p_value),
+        used=bool(test.used),
+        sentence=test.sentence,
+        smaller={name: (float(value), float(sigma)) for name, (value, sigma) in test.smaller.items()},
+        larger={name: (float(value), float(sigma)) for name, (value, sigma) in test.larger.items()},
+    )
+
+
+def _held_out(found: HeldOut) -> HeldOutRecord:
+    return HeldOutRecord(
+        ok=bool(found.ok),
+        sentence=found.sentence,
+        error_px=_number(found.error_px),
+        expected_px=_number(found.expected_px),
+        folds=tuple(
+            FoldRecord(
+                views=tuple(fold.views),
+                error_px=_number(fold.error_px),
+                expected_px=_number(fold.expected_px),
+                largest_shift=_number(fold.largest_shift),
+                parameter=fold.parameter,
+            )
+            for fold in found.folds
         ),
-        parameters=tuple(_parameters(adjustment)),
-        derived=tuple(_derived(adjustment)),
-        covariance=CovarianceRecord(parameters=adjustment.names, matrix=_rows(adjustment.covariance)),
-        with_all=() if before is None else tuple(_parameters(before)),
-        noise=_noise(adjustment),
-        iterations=adjustment.iterations,
-        condition=float(adjustment.condition),
-        views=_views(adjustment),
     )
 
 
-def parameter(name: str, unit: str, value: float, sigma: float | None) -> ParameterRecord:
-    """Return a number with the interval of 95 % that a Gaussian of its standard deviation has."""
-    low, high = (None, None) if sigma is None else (value - WITHIN * sigma, value + WITHIN * sigma)
-    return ParameterRecord(name=name, unit=unit, value=value, sigma=sigma, low95=low, high95=high)
-
-
-def _parameters(adjustment: Adjustment) -> Iterable[ParameterRecord]:
-    for name in adjustment.names:
-        yield parameter(name, _UNITS.get(name, "1"), adjustment.value(name), adjustment.sigma(name))
-
-
-def _derived(adjustment: Adjustment) -> Iterable[ParameterRecord]:
-    """Give the focal length in mm and the beam's angles to the optical axis, where these are known."""
-    pitch = adjustment.observations.pixel_pitch_mm
-    for name in ("f", "fx", "fy") if pitch is not None else ():
-        if name in adjustment.names and pitch is not None:
-            yield parameter(f"{name}_mm", "mm", pitch * adjustment.value(name), pitch * adjustment.sigma(name))
-    if adjustment.model.beam == "free":
-        yield from _angles(adjustment)
-    if adjustment.model.divergence:
-        grown = adjustment.value("divergence")
-        yield parameter(
-            "divergence_mrad", "mrad", 1e3 * math.atan(grown), 1e3 * adjustment.sigma("divergence") / (1 + grown**2)
-        )
-
-
-def _angles(adjustment: Adjustment) -> Iterable[ParameterRecord]:
-    """Give the beam's angles to the optical axis: towards x, towards y, and as a whole."""
-    x, y, z = adjustment.state.direction.tolist()
-    rows = [adjustment.names.index(name) for name in ("direction_x", "direction_y")]
-    covariance = adjustment.covariance[np.ix_(rows, rows)]
-    by_z = np.array([-x / z, -y / z])
-    for name, i in (("angle_x", 0), ("angle_y", 1)):
-        part = (x, y)[i]
-        gradient = (z * np.eye(2)[i] - part * by_z) / (part**2 + z**2)
-        yield parameter(f"{name}_mrad", "mrad", 1e3 * math.atan2(part, z), 1e3 * _spread(gradient, covariance))
-    across = math.hypot(x, y)
-    # Of no angle at all the first order says nothing.
-    sigma = 1e3 * _spread(np.array([x, y]) / (across * z), covariance) if across > 0 else None
-    yield parameter("angle_mrad", "mrad", 1e3 * math.atan2(across, z), sigma)
-
-
-def _spread(gradient: Array, covariance: Array) -> float:
-    return float(np.sqrt(gradient @ covariance @ gradient))
-
-
-def _noise(adjustment: Adjustment) -> NoiseRecord:
-    spotted = np.array([view.spot is not None for view in adjustment.observations.views])
-    used = [np.count_nonzero(kept) for kept in adjustment.corner_used]
-    seen = sum(len(view) for view in adjustment.observations.views)
-    spots = int(np.count_nonzero(adjustment.spot_used))
-    return NoiseRecord(
-        corner_sigma_px=adjustment.corner_sigma,
-        corner_factor=adjustment.noise.corners,
-        spot_factor=adjustment.noise.spots,
-        chi2_corners=float(adjustment.chi2_corners),
-        dof_corners=float(adjustment.dof_corners),
-        chi2_spots=float(adjustment.chi2_spots),
-        dof_spots=float(adjustment.dof_spots),
-        corners=int(sum(used)),
-        corners_left_out=int(seen - sum(used)),
-        spots=spots,
-        spots_left_out=int(np.count_nonzero(spotted)) - spots if spots else 0,
+def cost_record(cost: PoseCost) -> CostRecord:
+    """Return what the calibration costs a plane as it stands in the file: degrees."""
+    return CostRecord(
+        z_L_mm=float(cost.z_L),
+        alpha_deg=math.degrees(cost.alpha),
+        beta_deg=None if cost.beta is None else math.degrees(cost.beta),
+        sigma_z_L_mm=float(cost.sigma_z_L),
+        sigma_normal_deg=math.degrees(cost.sigma_normal),
+        independent_z_L_mm=float(cost.independent_z_L),
+        independent_normal_deg=math.degrees(cost.independent_normal),
+        offset_z_L_mm=float(cost.offset_z_L),
+        offset_normal_deg=math.degrees(cost.offset_normal),
     )
 
 
-def _views(adjustment: Adjustment) -> tuple[ViewFit, ...]:
-    found = sections(adjustment)
-    half = np.array([*adjustment.observations.board.size_mm, 0.0]) / 2
-    return tuple(
-        _view(adjustment, row, view, half, section)
-        for row, (view, section) in enumerate(zip(adjustment.observations.views, found, strict=True))
-    )
-
-
-def _view(adjustment: Adjustment, row: int, view: View, half: Array, section: BeamSection | None) -> ViewFit:
-    rotation, translation = adjustment.rotations[row], adjustment.translations[row]
-    corners, used = adjustment.corner_residuals[row], adjustment.corner_used[row]
-    spot, chi2 = adjustment.spot_residuals[row], float(adjustment.spot_chi2[row])
-    normal = rotation[:, 2]
-    return ViewFit(
-        name=view.name,
-        rotation=_triples(rotation),
-        translation_mm=_triple(translation),
-        depth_mm=float((rotation @ half + translation)[2]),
-        tilt_deg=math.degrees(math.acos(min(abs(float(normal[2])), 1.0))),
-        direction_deg=math.degrees(math.atan2(-normal[1] * normal[2], -normal[0] * normal[2])),
-        corner_rms_px=_rms(corners[used]),
-        corner_residuals_px=pairs(corners),
-        corner_used=tuple(used.tolist()),
-        spot_rms_px=_rms(spot),
-        spot_residuals_px=tuple(spot.tolist()),
-        spot_used=bool(adjustment.spot_used[row]),
-        spot_chi2=chi2 if math.isfinite(chi2) else None,
-        section=None if section is None else _section(section),
-    )
-
-
-def _section(found: BeamSection) -> SectionRecord:
-    return SectionRecord(
-        along_mm=found.along,
-        centre_mm=_triple(found.centre),
-        axis_mm=_triple(found.axis),
-        radius_mm=found.radius,
-        sigma_x_mm=float(found.sigma_centre[0]),
-        sigma_y_mm=float(found.sigma_centre[1]),
-        sigma_radius_mm=found.sigma_radius,
-    )
-
-
-def _rms(values: Array) -> float | None:
-    return float(np.sqrt(np.mean(values**2))) if values.size else None
-
-
-def _rows(matrix: Array) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(row) for row in matrix.tolist())
-
-
-def _triple(values: Sequence[float] | Array) -> Triple:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
-
-
-def _triples(matrix: Array) -> tuple[Triple, Triple, Triple]:
-    first, second, third = (_triple(row) for row in matrix)
-    return first, second, third
-
-
-def plain(value: Any) -> Any:
-    """Return NumPy's numbers as Python's, and what is not finite as None."""
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+def _number(value: float | None) -> float | None:
+    """Return a float; None for what is not finite, which JSON has no number for."""
+    return None if value is None or not math.isfinite(value) else float(value)

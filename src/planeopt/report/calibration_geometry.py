@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from planeopt.board import Board
 from planeopt.calibration.record import AdjustmentRecord, BoardRecord, CalibrationFile, SectionRecord
-from planeopt.calibration.recording import WITHIN
+from planeopt.calibration.adjusted import WITHIN
 from planeopt.report.content import Picture
 from planeopt.report.style import BAND, DARK, ELLIPSE, PAGE_WIDTH, REJECTED, page_figure, picture
 

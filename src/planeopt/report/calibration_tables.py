@@ -54,7 +54,7 @@ def images(data: Data) -> Table:
             (
                 Cell(image["name"]),
                 board,
-                Cell(_SPOTS[image["spot"]]),
+                Cell(_SPOTS[image["spot_status"]]),
                 cell(data, f"images.{i}.n_corners", 0),
                 Cell(" ".join(str(text) for text in reasons)),
             )
