@@ -20,20 +20,19 @@ from scipy.special import erf
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_ROOT_2 = np.sqrt(2.0)
 _ARM = 0.42  # of a square: so far along the edges, and not into the next corner's blur
-_LONGEST, _FIRST = 40.0, 10.0  # px: longer arms gain little; at the start the directions are known to a few degrees
 _WIDE = 4.0, 2.0  # blurs and px to each side of an edge: beyond, there is nothing but black or white
 _GUARD = 2.5  # blurs from something else: a marker, the window
-_START_BLUR = 1.2  # px
 _BLUR_RANGE = 0.3, 12.0  # px
-_STEPS = 8, 5, 3  # of Gauss-Newton: from the start, with long arms, and with the pixels' weights
-_LONGEST_STEP = 1.0  # px
-_CONVERGED = 0.01  # px
+_STEPS = 8, 3  # of Gauss-Newton at most: with all pixels alike, and weighted by their noise
+_LONGEST_STEP, _TURN_STEP, _BLUR_STEP = 1.0, 0.1, 0.4  # px, rad, and of the logarithm
+_SETTLED, _CONVERGED = 5e-4, 0.01  # px: no more steps; good enough
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
+_OBLIQUE = 6.0  # blurs from both edges: beyond, they do not meet
 _MOST_OBLIQUE = 0.97  # of the cosine between the edges
+_FREE = 12
 _FEWEST = 40  # pixels
-_AT_ONCE = 48  # corners
+_AT_ONCE = 32  # corners: their arrays stay in the processor's cache
 _EDGE = 0.02  # of the way from black to white: nearer to one of them is no edge
 _QUIETEST = 0.1  # of the noisier one's variance: clipped white seems to have no noise
 
@@ -54,6 +53,8 @@ class Crossings:
         Second derivatives, px/mm^2.
     white : (K,) bool array
         Whether the square right and below of the corner, as printed, is white.
+    blur : (K, 2) array
+        About the standard deviation of the blur across its edges, px.
     """
 
     place: Array
@@ -61,12 +62,13 @@ class Crossings:
     first: Array
     second: Array
     white: Mask
+    blur: Array
 
     def __len__(self) -> int:
         return len(self.place)
 
     def __getitem__(self, which: slice | Mask) -> "Crossings":
-        return Crossings(self.place[which], self.pixel[which], self.first[which], self.second[which], self.white[which])
+        return Crossings(*(values[which] for values in vars(self).values()))
 
 
 @dataclass(frozen=True)
@@ -107,8 +109,6 @@ class CornerFits:
         Root mean square of what is left, share of full scale.
     covered : (K,) array
         Of the four arms' pixels, the least share that is there to be seen.
-    moved : (K,) array
-        How far from where it was looked for, px.
     converged : (K,) bool array
     """
 
@@ -119,8 +119,10 @@ class CornerFits:
     misfit: Array
     residual: Array
     covered: Array
-    moved: Array
     converged: Mask
+
+    def __getitem__(self, which: Mask) -> "CornerFits":
+        return CornerFits(*(values[which] for values in vars(self).values()))
 
     @staticmethod
     def joined(parts: list["CornerFits"]) -> "CornerFits":
@@ -128,14 +130,23 @@ class CornerFits:
         return CornerFits(*(np.concatenate(values) for values in zip(*(vars(p).values() for p in parts), strict=True)))
 
 
-@dataclass(frozen=True, eq=False)
-class _Pixels:
-    """Pixels round K corners, P each; where there are fewer the rest has no weight."""
+def fit_corners(image: NDArray[np.float32], crossings: Crossings, printed: Print, longest: float) -> CornerFits:
+    """Measure corners.
 
-    offset: Array  # (K, P, 2) from the anchor, px
-    value: Array  # (K, P)
-    use: Array  # (K, P): 1 or 0
-    covered: Array  # (K,)
+    Parameters
+    ----------
+    image : (H, W) array
+        Grey values, share of full scale.
+    crossings : Crossings
+        At least one.
+    printed : Print
+    longest : float
+        Of the pieces of the edges that are looked at to each side of a corner, px.
+    """
+    parts = [crossings[first : first + _AT_ONCE] for first in range(0, len(crossings), _AT_ONCE)]
+    fits = [_gauss_newton(_Corners(image, part, printed, longest)) for part in parts]
+    noise = _noise_of(fits)
+    return CornerFits.joined([_measured(_gauss_newton(fit.model, fit.state, noise), noise) for fit in fits])
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,16 +161,16 @@ class _State:
         longest = np.maximum(np.linalg.norm(step[:, :2], axis=1, keepdims=True) / _LONGEST_STEP, 1.0)
         return _State(
             self.shift + step[:, :2] / longest,
-            np.clip(self.turn + np.clip(step[:, 2:4], -0.1, 0.1), -0.5, 0.5),
-            np.clip(self.blur * np.exp(np.clip(step[:, 4:6], -0.4, 0.4)), *_BLUR_RANGE),
+            np.clip(self.turn + np.clip(step[:, 2:4], -_TURN_STEP, _TURN_STEP), -0.5, 0.5),
+            np.clip(self.blur * np.exp(np.clip(step[:, 4:6], -_BLUR_STEP, _BLUR_STEP)), *_BLUR_RANGE),
         )
 
 
 class _Corners:
-    """The model of K corners in an image."""
+    """The model of K corners, and the P pixels along the arms of each; where there are fewer the rest has no weight."""
 
-    def __init__(self, image: NDArray[np.float32], crossings: Crossings, printed: Print) -> None:
-        self.image, self.crossings, self.printed = image, crossings, printed
+    def __init__(self, image: NDArray[np.float32], crossings: Crossings, printed: Print, longest: float) -> None:
+        self.crossings, self.printed = crossings, printed
         self.anchor = np.rint(crossings.pixel)
         self.inverse = np.linalg.inv(crossings.first)  # mm per px
         self.steepness = np.linalg.norm(self.inverse, axis=2)  # mm per px across the lines of equal x and y
@@ -169,195 +180,205 @@ class _Corners:
         self.angles = half[:, None] * (1 + _NODES)
         self.angle_weights = half[:, None] * _WEIGHTS * 2 / np.pi
         self.sign = np.where(crossings.white, 1.0, -1.0)
-        self.arm = np.min(_ARM * np.array(printed.square) / self.steepness, axis=1)
+        self.arm = np.minimum(np.min(_ARM * np.array(printed.square) / self.steepness, axis=1), longest)
+        self.start = _State(crossings.pixel - self.anchor, np.zeros((len(crossings), 2)), crossings.blur)
+        self._choose(image)
 
-    def start(self) -> _State:
-        count = len(self.crossings)
-        shift = self.crossings.pixel - self.anchor
-        return _State(shift, np.zeros((count, 2)), np.full((count, 2), _START_BLUR))
-
-    def distances(self, offset: Array, state: _State) -> Array:
-        """Return the distances (K, P, 2) of pixels from the two edges as the map has them run, px."""
-        from_corner = offset - state.shift[:, None]
-        straight = np.einsum("kij,kpj->kpi", self.inverse, from_corner)
-        bend = np.einsum("kaij,kpi,kpj->kpa", self.crossings.second, straight, straight) / 2
-        place = straight - np.einsum("kij,kpj->kpi", self.inverse, bend)
-        return place / self.steepness[:, None]
-
-    def pixels(self, state: _State, longest: float) -> _Pixels:
-        """Return the pixels along the arms of the corners."""
-        height, width = self.image.shape
-        arm = np.minimum(self.arm, longest)
+    def _choose(self, image: NDArray[np.float32]) -> None:
+        """Choose the pixels."""
+        height, width = image.shape
         # A rhombus of that height reaches further along its sides, the more oblique the more.
-        slant = np.abs(np.linalg.det(self.normals))
-        reach = int(np.ceil(np.max(arm / np.maximum(slant, 0.5)) + 1))
-        down, across = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-        offset = np.stack([across.ravel(), down.ravel()], axis=1).astype(np.float64)
-        offset = np.broadcast_to(offset, (len(self.crossings), *offset.shape))
-        distance = self.distances(offset, state)
-        blur = state.blur.max(axis=1)[:, None]
-        near = np.abs(distance).min(axis=2)
+        slant = np.maximum(np.abs(np.linalg.det(self.normals)), 0.5)
+        reach = int(np.ceil(np.max(self.arm / slant) + 1))
+        line = np.arange(-reach, reach + 1, dtype=np.float64)
+        x, y = (values.ravel() for values in np.meshgrid(line, line))
+        distance = self._distances(x, y, self.start.shift)
+        across, along = np.abs(distance)
+        blur = self.start.blur.max(axis=1)[:, None]
         wide = _WIDE[0] * blur + _WIDE[1]
         margin = (self.printed.margin / self.steepness.max(axis=1))[:, None]
         # Where the margin is narrower than the blur the marker is seen too, but the same on both sides of the corner.
         in_white = np.minimum(np.maximum(margin - _GUARD * blur, margin / 2), wide)
-        is_white = distance[..., 0] * distance[..., 1] * self.sign[:, None] > 0
-        wanted = (np.abs(distance).max(axis=2) <= arm[:, None]) & (near <= np.where(is_white, in_white, wide))
-        x, y = np.moveaxis(self.anchor[:, None] + offset, 2, 0).astype(np.intp)
-        there = wanted & (x >= 0) & (x < width) & (y >= 0) & (y < height) & ~self._blank(distance, blur)
-        order = np.argsort(~there, axis=1, kind="stable")[:, : max(int(there.sum(axis=1).max()), 1)]
-        x, y, use = (np.take_along_axis(values, order, axis=1) for values in (x, y, there))
-        value = self.image[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)].astype(np.float64)
-        offset = np.take_along_axis(offset, order[:, :, None], axis=1)
-        return _Pixels(offset, value, use.astype(np.float64), _covered(distance, wanted, there))
+        is_white = distance[0] * distance[1] * self.sign[:, None] > 0
+        wanted = (np.maximum(across, along) <= self.arm[:, None]) & (
+            np.minimum(across, along) <= np.where(is_white, in_white, wide)
+        )
+        left, top = self.anchor.T[:, :, None]
+        there = wanted & (x >= -left) & (x < width - left) & (y >= -top) & (y < height - top)
+        there &= ~self._blank(distance, blur)
+        self.covered = _covered(distance, wanted, there)
+        corner, pixel = np.nonzero(there)
+        count = there.sum(axis=1)
+        column = np.arange(len(corner)) - np.repeat(np.cumsum(count) - count, count)
+        shape = len(count), max(int(count.max()), 1)
+        self.use = np.zeros(shape)
+        self.use[corner, column] = 1.0
+        self.value = np.zeros(shape)
+        places = (self.anchor[corner] + np.stack([x[pixel], y[pixel]], axis=1)).astype(np.intp)
+        self.value[corner, column] = image[places[:, 1], places[:, 0]]
+        self.base = np.zeros((2, *shape))
+        self.base[:, corner, column] = distance[:, corner, pixel]
+
+    def _distances(self, x: Array, y: Array, shift: Array) -> Array:
+        """Return the distances (2, K, P) of pixels (P,) from the two edges as the map has them run, px."""
+        x, y = x - shift[:, :1], y - shift[:, 1:]
+        inverse, second = self.inverse[..., None], self.crossings.second[..., None]
+        first = [inverse[:, i, 0] * x + inverse[:, i, 1] * y for i in range(2)]
+        squares = first[0] ** 2 / 2, first[0] * first[1], first[1] ** 2 / 2
+        bends = [
+            second[:, a, 0, 0] * squares[0] + second[:, a, 0, 1] * squares[1] + second[:, a, 1, 1] * squares[2]
+            for a in range(2)
+        ]
+        return np.stack(
+            [
+                (first[i] - inverse[:, i, 0] * bends[0] - inverse[:, i, 1] * bends[1]) / self.steepness[:, i, None]
+                for i in range(2)
+            ]
+        )
 
     def _blank(self, distance: Array, blur: Array) -> Mask:
         """Return which pixels (K, P) see the blank window, or its blurred edge."""
         if self.printed.window is None:
-            return np.zeros(distance.shape[:2], dtype=np.bool_)
+            return np.zeros(distance.shape[1:], dtype=np.bool_)
         x, y, width, height = self.printed.window
-        place = self.crossings.place[:, None] + distance * self.steepness[:, None]
-        past = np.maximum(np.array([x, y]) - place, place - np.array([x + width, y + height]))
-        return np.max(past / self.steepness[:, None], axis=2) < _GUARD * blur
+        blank = np.ones(distance.shape[1:], dtype=np.bool_)
+        for axis, (low, high) in enumerate(((x, x + width), (y, y + height))):
+            steepness = self.steepness[:, axis]
+            near = (low - self.crossings.place[:, axis]) / steepness
+            far = (high - self.crossings.place[:, axis]) / steepness
+            blank &= (distance[axis] > near[:, None] - _GUARD * blur) & (distance[axis] < far[:, None] + _GUARD * blur)
+        return blank
 
-    def terms(self, pixels: _Pixels, state: _State) -> tuple[Array, Array, Array]:
-        """Return the share of white (K, P), its derivatives (K, P, 6) by the state, and the planes' terms (K, P, 6)."""
-        straight = self.distances(pixels.offset, state)
-        distance = straight + state.turn[:, None] * straight[..., ::-1]
-        u, v = np.moveaxis(distance / state.blur[:, None], 2, 0)
-        over, under = erf(u / _ROOT_2), erf(v / _ROOT_2)
-        oblique = np.zeros_like(u)
-        for k in range(len(_NODES)):
-            angle = self.angles[:, k, None]
-            power = (u * u + v * v - 2 * u * v * np.sin(angle)) / (2 * np.cos(angle) ** 2)
-            oblique += self.angle_weights[:, k, None] * np.exp(-power)
-        share = (1 + self.sign[:, None] * (over * under + oblique)) / 2
-        # By the two distances; the part of the oblique angle is small and even about the corner.
-        slope = np.sqrt(2 / np.pi) * self.sign[:, None, None] / 2 / state.blur[:, None]
-        by_distance = slope * np.stack([np.exp(-u * u / 2) * under, np.exp(-v * v / 2) * over], axis=2)
-        by_shift = -np.einsum(
-            "kpi,kij->kpj", by_distance, self.normals + state.turn[:, :, None] * self.normals[:, ::-1]
-        )
-        slopes = np.concatenate([by_shift, by_distance * straight[..., ::-1], -by_distance * distance], axis=2)
-        lever = straight / self.arm[:, None, None]
-        planes = np.stack([np.ones_like(u), lever[..., 0], lever[..., 1]], axis=2)
-        levels = np.concatenate([planes * (1 - share)[..., None], planes * share[..., None]], axis=2)
-        return share, slopes, levels
+    def terms(self, state: _State) -> tuple[Array, Array]:
+        """Return the share of white (K, P), and its derivatives (K, 6, P) by the state."""
+        moved = state.shift - self.start.shift
+        straight = self.base - np.einsum("kij,kj->ik", self.normals, moved)[:, :, None]
+        turn, blur = state.turn.T[:, :, None], state.blur.T[:, :, None]
+        distance = straight + turn * straight[::-1]
+        scaled = distance / blur
+        steps = erf(scaled / np.sqrt(2.0))
+        share = (1 + self.sign[:, None] * (steps[0] * steps[1] + self._oblique(scaled))) / 2
+        # By the two distances; what the oblique angle adds is small and even about the corner.
+        heights = np.sqrt(0.5 / np.pi) * self.sign[:, None] / blur
+        by_distance = heights * np.exp(-scaled * scaled / 2) * steps[::-1]
+        towards = self.normals + state.turn[:, :, None] * self.normals[:, ::-1]
+        slopes = np.empty((len(self.use), 6, self.use.shape[1]))
+        for axis in range(2):
+            slopes[:, axis] = -(by_distance[0] * towards[:, 0, axis, None] + by_distance[1] * towards[:, 1, axis, None])
+        for edge in range(2):
+            slopes[:, 2 + edge] = by_distance[edge] * straight[1 - edge]
+            slopes[:, 4 + edge] = -by_distance[edge] * distance[edge]
+        return share, slopes
+
+    def _oblique(self, scaled: Array) -> Array:
+        """Return by how much (K, P) the mean sign is more than the product of the two edges' own."""
+        found = np.zeros(scaled.shape[1:])
+        k, p = np.nonzero((np.abs(scaled) < _OBLIQUE).all(axis=0) & (self.use > 0))
+        u, v = scaled[:, k, p]
+        angles, weights = self.angles[k], self.angle_weights[k]
+        both, product = (u * u + v * v)[:, None], (2 * u * v)[:, None]
+        powers = (both - product * np.sin(angles)) / (2 * np.cos(angles) ** 2)
+        found[k, p] = np.sum(weights * np.exp(-powers), axis=1)
+        return found
+
+    def planes(self, share: Array) -> Array:
+        """Return the terms (K, 6, P) of the black and of the white plane."""
+        levers = self.base / self.arm[:, None]
+        terms = np.empty((len(share), 6, share.shape[1]))
+        for first, part in ((0, 1 - share), (3, share)):
+            terms[:, first], terms[:, first + 1], terms[:, first + 2] = part, part * levers[0], part * levers[1]
+        return terms
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
     """The state that fits best, and what is left."""
 
+    model: _Corners
     state: _State
-    pixels: _Pixels
     share: Array
     left: Array
-    levels: Array
+    contrast: Array
     normal: Array
     last: Array
 
 
-def fit_corners(image: NDArray[np.float32], crossings: Crossings, printed: Print) -> CornerFits:
-    """Measure corners.
+def _gauss_newton(model: _Corners, state: _State | None = None, noise: tuple[float, float] | None = None) -> _Fit:
+    state = model.start if state is None else state
+    last = np.full(len(model.use), np.inf)
+    steps = _STEPS[0] if noise is None else _STEPS[1]
+    jacobian = np.empty((len(model.use), _FREE, model.use.shape[1]))
+    for turn in range(steps + 1):
+        share, slopes = model.terms(state)
+        weight = model.use if noise is None else model.use / np.sqrt(_variance(noise, share))
+        planes = model.planes(share)
+        weighed = jacobian[:, 6:]
+        np.multiply(planes, weight[:, None], out=weighed)
+        levels = _solve(weighed @ weighed.mT, weighed @ (model.value * weight)[:, :, None])
+        left = (model.value - (levels[:, None] @ planes)[:, 0]) * model.use
+        # At a corner the two planes differ by the contrast.
+        contrast = levels[:, 3] - levels[:, 0]
+        np.multiply(slopes, (contrast[:, None] * weight)[:, None], out=jacobian[:, :6])
+        normal = jacobian @ jacobian.mT
+        if turn == steps or float(last.max()) < _SETTLED:
+            break
+        step = _solve(normal, jacobian @ (left * weight)[:, :, None])
+        state = state.after(step)
+        last = np.linalg.norm(step[:, :2], axis=1)
+    return _Fit(model, state, share, left, contrast, normal, last)
 
-    Parameters
-    ----------
-    image : (H, W) array
-        Grey values, share of full scale.
-    crossings : Crossings
-        At least one.
-    printed : Print
-    """
-    parts = [crossings[first : first + _AT_ONCE] for first in range(0, len(crossings), _AT_ONCE)]
-    models = [_Corners(image, part, printed) for part in parts]
-    fits = [_unweighted(model) for model in models]
-    noise = _noise_of(fits)
-    return CornerFits.joined([_weighted(model, fit, noise) for model, fit in zip(models, fits, strict=True)])
 
-
-def _unweighted(model: _Corners) -> _Fit:
-    state = model.start()
-    for longest, steps in zip((_FIRST, _LONGEST), _STEPS, strict=False):
-        fit = _gauss_newton(model, model.pixels(state, longest), state, steps, None)
-        state = fit.state
-    return fit
-
-
-def _weighted(model: _Corners, fit: _Fit, noise: tuple[float, float]) -> CornerFits:
-    fit = _gauss_newton(model, model.pixels(fit.state, _LONGEST), fit.state, _STEPS[-1], noise)
-    freedom = np.maximum(fit.pixels.use.sum(axis=1) - 12, 1.0)
-    variance = noise[0] + (noise[1] - noise[0]) * np.clip(fit.share, 0, 1)
-    misfit = np.sqrt(np.sum(fit.left**2 / variance, axis=1) / freedom)
-    covariance = np.linalg.inv(fit.normal)[:, :2, :2]
+def _measured(fit: _Fit, noise: tuple[float, float]) -> CornerFits:
+    count = fit.model.use.sum(axis=1)
+    freedom = np.maximum(count - _FREE, 1.0)
+    covariance = np.linalg.inv(_regular(fit.normal))[:, :2, :2]
     sigma = np.sqrt(np.maximum(np.trace(covariance, axis1=1, axis2=2), 0) / 2)
-    pixel = model.anchor + fit.state.shift
     return CornerFits(
-        pixel=pixel,
+        pixel=fit.model.anchor + fit.state.shift,
         sigma=sigma,
         blur=fit.state.blur,
-        contrast=fit.levels[:, 3] - fit.levels[:, 0],
-        misfit=misfit,
+        contrast=fit.contrast,
+        misfit=np.sqrt(np.sum(fit.left**2 / _variance(noise, fit.share), axis=1) / freedom),
         residual=np.sqrt(np.sum(fit.left**2, axis=1) / freedom),
-        covered=fit.pixels.covered,
-        moved=np.linalg.norm(pixel - model.crossings.pixel, axis=1),
-        converged=(fit.last < _CONVERGED) & (fit.pixels.use.sum(axis=1) >= _FEWEST) & np.isfinite(sigma),
+        covered=fit.model.covered,
+        converged=(fit.last < _CONVERGED) & (count >= _FEWEST) & np.isfinite(sigma),
     )
 
 
-def _gauss_newton(
-    model: _Corners, pixels: _Pixels, state: _State, steps: int, noise: tuple[float, float] | None
-) -> _Fit:
-    last = np.zeros(len(model.crossings))
-    for turn in range(steps + 1):
-        share, slopes, terms = model.terms(pixels, state)
-        weight = pixels.use
-        if noise is not None:
-            weight = weight / np.sqrt(noise[0] + (noise[1] - noise[0]) * np.clip(share, 0, 1))
-        weighed = terms * weight[..., None]
-        levels = _solve(weighed.mT @ weighed, (weighed.mT @ (pixels.value * weight)[..., None])[..., 0])
-        left = (pixels.value - np.einsum("kpi,ki->kp", terms, levels)) * pixels.use
-        contrast = levels[:, 3] - levels[:, 0]
-        jacobian = np.concatenate([slopes * (contrast[:, None] * weight)[..., None], weighed], axis=2)
-        normal = jacobian.mT @ jacobian
-        normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(normal.shape[1]) + 1e-300 * np.eye(
-            normal.shape[1]
-        )
-        if turn == steps:
-            break
-        step = _solve(normal, (jacobian.mT @ (left * weight)[..., None])[..., 0])
-        state = state.after(step)
-        last = np.linalg.norm(step[:, :2], axis=1)
-    return _Fit(state, pixels, share, left, levels, normal, last)
+def _variance(noise: tuple[float, float], share: Array) -> Array:
+    return noise[0] + (noise[1] - noise[0]) * np.clip(share, 0, 1)
 
 
 def _solve(matrix: Array, right: Array) -> Array:
-    size = matrix.shape[1]
-    tiny = 1e-12 * np.trace(matrix, axis1=1, axis2=2)[:, None, None] + 1e-300
-    return np.linalg.solve(matrix + tiny * np.eye(size), right[..., None])[..., 0]
+    return np.linalg.solve(_regular(matrix), right)[..., 0]
+
+
+def _regular(matrix: Array) -> Array:
+    """Return matrices (K, n, n) that can be inverted, where a corner shows too little to."""
+    diagonal = np.einsum("kii->ki", matrix)
+    tiny = 1e-9 * diagonal + 1e-15 * diagonal.max(axis=1, keepdims=True) + 1e-300
+    return matrix + tiny[:, :, None] * np.eye(matrix.shape[1])
 
 
 def _noise_of(fits: list[_Fit]) -> tuple[float, float]:
     """Return the variances of a black and of a white pixel: of most corners, whatever the others see."""
-    variances = []
-    for low, high in ((-np.inf, _EDGE), (1 - _EDGE, np.inf)):
-        each = []
-        for fit in fits:
-            of = fit.pixels.use * ((fit.share > low) & (fit.share < high))
-            count = of.sum(axis=1)
-            each.append((np.sum(fit.left**2 * of, axis=1) / np.maximum(count - 3, 1))[count > _FEWEST / 4])
-        all_of_them = np.concatenate(each)
-        variances.append(float(np.median(all_of_them)) if len(all_of_them) else np.nan)
-    known = [value for value in variances if np.isfinite(value)] or [0.0]
-    least = max(_QUIETEST * max(known), 1e-10)
-    black, white = (max(value, least) if np.isfinite(value) else max(*known, least) for value in variances)
-    return black, white
+    black, white = (_median_variance(fits, low, high) for low, high in ((-np.inf, _EDGE), (1 - _EDGE, np.inf)))
+    least = max(_QUIETEST * max(black, white), 1e-10)
+    return max(black, least), max(white, least)
+
+
+def _median_variance(fits: list[_Fit], low: float, high: float) -> float:
+    """Return the variance that half of the corners exceed, of pixels with a share of white in that range."""
+    each = []
+    for fit in fits:
+        of = fit.model.use * ((fit.share > low) & (fit.share < high))
+        count = of.sum(axis=1)
+        each.append((np.sum(fit.left**2 * of, axis=1) / np.maximum(count - 3, 1))[count > _FEWEST / 4])
+    found = np.concatenate(each)
+    return float(np.median(found)) if len(found) else 0.0
 
 
 def _covered(distance: Array, wanted: Mask, there: Mask) -> Array:
     """Return the least share (K,) of the pixels wanted that is there, of the halves before and behind each edge."""
-    shares = []
-    for edge in range(2):
-        for side in (distance[..., edge] > 0, distance[..., edge] < 0):
-            shares.append((there & side).sum(axis=1) / np.maximum((wanted & side).sum(axis=1), 1))
-    return np.min(shares, axis=0)
+    sides = [side for edge in distance for side in (edge > 0, edge < 0)]
+    return np.min([(there & side).sum(axis=1) / np.maximum((wanted & side).sum(axis=1), 1) for side in sides], axis=0)

@@ -1,5 +1,6 @@
 """A board's corners in an image: found with OpenCV's markers, measured along their edges, judged one by one."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -14,6 +15,8 @@ from planeopt.calibration.corner_fit import CornerFits, Crossings, Print, fit_co
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+_FIRST, _LONGEST = 10.0, 40.0  # px along the edges: roughly, and as far as it gains much
+_START_BLUR = 1.2  # px
 _WINDOW = 0.3, 3, 7  # of the side of a square, and px: half the window of OpenCV's refinement
 _SMALLEST = 6.0  # px: no square is smaller
 _OWN_ERROR = 0.003  # px: of the model, on images without noise
@@ -54,6 +57,11 @@ class Corners:
     def __len__(self) -> int:
         return len(self.ids)
 
+    @classmethod
+    def none(cls, found: Found, mapped: BoardImage | None) -> "Corners":
+        """Return that there are none."""
+        return cls(found, np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty(0), mapped, 0.0)
+
 
 def find_corners(values: NDArray[np.float32], board: Board) -> Corners:
     """Find and measure a board's corners.
@@ -74,18 +82,17 @@ def find_corners(values: NDArray[np.float32], board: Board) -> Corners:
         if first is not None and len(found.ids) >= _ENOUGH:
             break
     if found is None or first is None:
-        empty = np.empty(0)
-        return Corners(found or _NOTHING, empty.astype(np.int64), np.empty((0, 2)), empty, None, 0.0)
+        return Corners.none(found or _NOTHING, None)
     return _measured(values, grey, board, found, first)
 
 
-def eight_bits(values: NDArray[np.float32]) -> list[NDArray[np.uint8]]:
-    """Return an image as OpenCV's detector wants it: as it is, and evened out where that is not enough."""
-    plain = np.clip(values * 255 + 0.5, 0, 255).astype(np.uint8)
+def eight_bits(values: NDArray[np.float32]) -> Iterator[NDArray[np.uint8]]:
+    """Yield an image as OpenCV's detector wants it: as it is, then evened out, for where that is not enough."""
+    yield np.clip(values * 255 + 0.5, 0, 255).astype(np.uint8)
     low, high = np.quantile(values[::4, ::4], [0.01, 0.99])
-    stretched = np.clip((values - low) / max(float(high - low), 1e-6), 0, 1)
-    evened = cv2.createCLAHE(4.0, (8, 8)).apply(np.asarray(np.sqrt(stretched) * 255, dtype=np.uint8))
-    return [plain, np.asarray(evened, dtype=np.uint8)]
+    stretched = np.sqrt(np.clip((values - low) / max(float(high - low), 1e-6), 0, 1))
+    evened = cv2.createCLAHE(4.0, (8, 8)).apply((stretched * 255).astype(np.uint8))
+    yield np.asarray(evened, dtype=np.uint8)
 
 
 _ENOUGH = 12  # corners: with these OpenCV's detector is not asked again
@@ -111,68 +118,84 @@ def _first_map(found: Found, board: Board, size: tuple[int, int]) -> BoardImage 
 
 
 def _measured(
-    values: NDArray[np.float32], grey: NDArray[np.uint8], board: Board, found: Found, first: BoardImage
+    values: NDArray[np.float32], grey: NDArray[np.uint8], board: Board, found: Found, mapped: BoardImage
 ) -> Corners:
     size = values.shape[1], values.shape[0]
-    ids = np.arange(len(board.corners))
-    mapped = first
+    rough: dict[int, tuple[Array, Array]] = {}
+    # First roughly: along short arms, which hardly bend. What was expected in the wrong place gets a second chance.
     for _ in range(2):
-        ids = _in_sight(mapped, board, size)
+        ids = np.array([k for k in _in_sight(mapped, board, size) if k not in rough], dtype=np.int64)
         if not len(ids):
             break
-        fits = _fitted(values, grey, board, mapped, ids)
+        fits = _fitted(values, board, mapped, ids, _started(grey, board, mapped, ids), _START_BLUR, _FIRST)
         good = judged(fits, mapped, board.corners[ids])
-        again = fit_board_image(board.corners[ids[good]], fits.pixel[good], size, board.square_mm)
-        if again is None:
-            break
-        good &= _near(again, board.corners[ids], fits.pixel)
-        mapped = again
-        chosen = (
-            ids[good],
-            fits.pixel[good],
-            np.hypot(fits.sigma, _OWN_ERROR)[good] * np.maximum(fits.misfit[good], 1.0),
-        )
-        blur = float(np.median(fits.blur[good])) if good.any() else 0.0
-        last = Corners(found, *chosen, mapped, blur)
-    else:
-        return last
-    empty = np.empty(0)
-    return Corners(found, empty.astype(np.int64), np.empty((0, 2)), empty, mapped, 0.0)
+        rough |= {
+            k: (pixel, blur)
+            for k, pixel, blur in zip(ids[good].tolist(), fits.pixel[good], fits.blur[good], strict=True)
+        }
+        mapped = _again(mapped, board, rough, size)
+    if not rough:
+        return Corners.none(found, mapped)
+    ids = np.array(sorted(rough))
+    pixels, blurs = (np.array([rough[k][i] for k in ids.tolist()]) for i in range(2))
+    fits = _fitted(values, board, mapped, ids, pixels, blurs, _LONGEST)
+    good = judged(fits, mapped, board.corners[ids])
+    ids, fits = ids[good], fits[good]
+    if not len(ids):
+        return Corners.none(found, mapped)
+    sigma = np.hypot(fits.sigma * np.maximum(fits.misfit, 1.0), _OWN_ERROR)
+    return Corners(found, ids, fits.pixel, sigma, mapped, float(np.median(fits.blur)))
 
 
-def _in_sight(mapped: BoardImage, board: Board, size: tuple[int, int]) -> NDArray[np.int64]:
+def _again(
+    mapped: BoardImage, board: Board, rough: dict[int, tuple[Array, Array]], size: tuple[int, int]
+) -> BoardImage:
+    """Return the map through measured corners; the one before if they hold none."""
+    ids = np.array(sorted(rough), dtype=np.int64)
+    pixels = np.array([rough[k][0] for k in ids.tolist()]).reshape(-1, 2)
+    return fit_board_image(board.corners[ids], pixels, size, board.square_mm) or mapped
+
+
+def _in_sight(mapped: BoardImage, board: Board, size: tuple[int, int]) -> list[int]:
     """Return the ids of the corners that are printed and within the image."""
     pixels = mapped(board.corners)
     inside = np.all((pixels > 1) & (pixels < np.array(size) - 2), axis=1) & mapped.in_front(board.corners)
     inside &= board.printed
     inside[inside] = mapped.side(board.corners[inside]) > _SMALLEST
-    return np.flatnonzero(inside)
+    return np.flatnonzero(inside).tolist()
+
+
+def _started(grey: NDArray[np.uint8], board: Board, mapped: BoardImage, ids: NDArray[np.int64]) -> Array:
+    """Return about where corners (K,) are, px: where OpenCV's refinement goes from where they are expected."""
+    places = board.corners[ids]
+    side, start = mapped.side(places), mapped(places)
+    half = int(np.clip(_WINDOW[0] * side.min(), *_WINDOW[1:]))
+    stop = cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 0.005
+    found = cv2.cornerSubPix(grey, start.astype(np.float32).reshape(-1, 1, 2), (half, half), (-1, -1), stop)
+    found = np.asarray(found, dtype=np.float64).reshape(-1, 2)
+    # What ran off is no better than where it was expected.
+    lost = np.linalg.norm(found - start, axis=1) > np.maximum(_ASTRAY[0] * side, _ASTRAY[1])
+    return np.where(lost[:, None], start, found)
 
 
 def _fitted(
-    values: NDArray[np.float32], grey: NDArray[np.uint8], board: Board, mapped: BoardImage, ids: NDArray[np.int64]
+    values: NDArray[np.float32],
+    board: Board,
+    mapped: BoardImage,
+    ids: NDArray[np.int64],
+    pixels: Array,
+    blur: Array | float,
+    longest: float,
 ) -> CornerFits:
     places = board.corners[ids]
     first, second = mapped.slopes(places)
-    side = mapped.side(places)
-    half = int(np.clip(_WINDOW[0] * side.min(), *_WINDOW[1:]))
-    start = mapped(places)
-    rough = cv2.cornerSubPix(
-        grey,
-        start.astype(np.float32).reshape(-1, 1, 2),
-        (half, half),
-        (-1, -1),
-        (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 0.005),
-    )
-    rough = np.asarray(rough, dtype=np.float64).reshape(-1, 2)
-    # What ran off is no better than where it was expected.
-    lost = np.linalg.norm(rough - start, axis=1) > np.maximum(_ASTRAY[0] * side, _ASTRAY[1])
     columns = board.squares[0] - 1
     swapped = board.legacy and board.squares[1] % 2 == 0
     white = ((ids // columns + ids % columns) % 2 == 1) != swapped
     margin = (min(board.square_mm) - board.marker_mm) / 2
-    crossings = Crossings(places, np.where(lost[:, None], start, rough), first, second, white)
-    return fit_corners(values, crossings, Print(board.square_mm, margin, board.window_mm))
+    blurs = np.broadcast_to(blur, (len(ids), 2)).astype(np.float64)
+    crossings = Crossings(places, pixels, first, second, white, blurs)
+    return fit_corners(values, crossings, Print(board.square_mm, margin, board.window_mm), longest)
 
 
 def judged(fits: CornerFits, mapped: BoardImage, places: Array) -> Mask:
