@@ -2,7 +2,8 @@
 
 import sys
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
@@ -70,30 +71,36 @@ def report(records: Iterable[Record], total: int, task: str, *, quiet: bool = Fa
         No progress bar, even at a terminal.
     """
     from rich.console import Console
-    from rich.progress import Progress
 
     console = Console(stderr=True)
     counts: Counter[str] = Counter()
     last = None
-    # Standard output is the results': rich would send it through the console of standard error.
-    with Progress(
-        console=console,
-        transient=True,
-        redirect_stdout=False,
-        redirect_stderr=False,
-        disable=quiet or not console.is_terminal,
-    ) as progress:
-        bar = progress.add_task(task, total=total)
+    with _bar(console, task, total, quiet=quiet) as advance:
         for last in records:
             counts[last.status] += 1
             if last.status == "error":
                 _say(console, last.message)
-            progress.advance(bar)
+            advance()
     if last is not None and (counts["degraded"] or counts["refused"]):
         tally = ", ".join(f"{count} {status}" for status, count in sorted(counts.items()))
         alone = f"{last.input}: {last.status}: {last.message}"
         _say(console, alone if total == 1 else f"{total} inputs: {tally}; each record's message says why")
     return exit_status(counts)
+
+
+@contextmanager
+def _bar(console: "Console", task: str, total: int, *, quiet: bool) -> Iterator[Callable[[], None]]:
+    """Yield what to call after each step: it moves a bar where someone watches, and does nothing elsewhere."""
+    from rich.progress import Progress
+
+    if quiet or not console.is_terminal:
+        # A bar that is disabled leaves an empty line behind where there is no terminal, in rich's older versions.
+        yield lambda: None
+        return
+    # Standard output is the results': rich would send it through the console of standard error.
+    with Progress(console=console, transient=True, redirect_stdout=False, redirect_stderr=False) as progress:
+        bar = progress.add_task(task, total=total)
+        yield lambda: progress.advance(bar)
 
 
 def _say(console: "Console", message: str) -> None:
