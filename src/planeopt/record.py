@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from planeopt.errors import InputError
 from planeopt.plane import Plane, SpotPose
 from planeopt.rig import Mount, Rig
-from planeopt.solution import OtherPlane, Solution
+from planeopt.solution import Flag, OtherPlane, Solution
 from planeopt.spot import SpotNotFound
 from planeopt.uncertainty import Sigmas
 
@@ -152,14 +152,16 @@ def from_solution(name: str, solution: Solution, rig: Rig | None = None) -> Pose
     rig : Rig, optional
         For the plane in the frame of its mount, where it has one.
     """
-    status = solution.status.record
+    status, message = solution.status.record, solution.message
     cause = () if status == "ok" else (solution.status,)
+    if status == "ok" and Flag.RIG_REFUSED in solution.flags:
+        status, message, cause = "degraded", Flag.RIG_REFUSED.value, (Flag.RIG_REFUSED,)
     plane, pose = solution.plane, solution.pose
     slopes = (None, None) if pose is None else pose.slopes
     return PoseRecord(
         input=name,
         status=status,
-        message=solution.message,
+        message=message,
         formulation=solution.formulation,
         solver=solution.solver,
         **_pose(pose),

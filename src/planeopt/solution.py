@@ -64,6 +64,7 @@ class Flag(Enum):
     SHORT_ARC = "Under a third of the ellipse is covered by points: intervals of first order are rough."
     POINTS_SCATTER = "The points scatter about the plane's ellipse by more than their sigma says (p < 1e-6)."
     RIG_WITHOUT_COVARIANCE = "The rig file has no covariance: sigma is the spot's part only."
+    RIG_REFUSED = "The rig's calibration was refused: its file says why, and nothing measured with it can be defended."
 
 
 @dataclass(frozen=True)

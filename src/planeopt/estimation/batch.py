@@ -322,6 +322,8 @@ def _of_scale(found: PointsSolution, i: int, rig: Rig) -> Iterator[Flag]:
             yield Flag.SCALE_AT_FLOOR
         if rig.covariance is None:
             yield Flag.RIG_WITHOUT_COVARIANCE
+        if rig.refused is not None:
+            yield Flag.RIG_REFUSED
 
 
 def _reach(found: PointsSolution, points: _Points, setup: eq.Setup) -> tuple[Array, Array]:

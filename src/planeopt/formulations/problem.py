@@ -77,7 +77,8 @@ class Problem:
         noise = (jacobian @ np.swapaxes(jacobian, 1, 2)) * (sigma**2)[:, None, None]
         setup = Setup(rig.focal_length, e_x, e_y, beam.radius)
         problem = cls.from_points(points, setup, noise, scale_known=spot.sigma is not None)
-        flags = problem.flags if rig.covariance is not None else (*problem.flags, Flag.RIG_WITHOUT_COVARIANCE)
+        doubts = {Flag.RIG_WITHOUT_COVARIANCE: rig.covariance is None, Flag.RIG_REFUSED: rig.refused is not None}
+        flags = (*problem.flags, *(flag for flag, holds in doubts.items() if holds))
         return replace(problem, rig=rig, pixels=np.asarray(spot.points, dtype=float), flags=flags)
 
     @classmethod

@@ -55,6 +55,10 @@ class _MountTable(msgspec.Struct, forbid_unknown_fields=True):
     frame: str = "mount"
 
 
+class _CalibrationTable(msgspec.Struct, forbid_unknown_fields=True):
+    refused: str
+
+
 class _File(msgspec.Struct, forbid_unknown_fields=True):
     camera: _CameraTable
     format: int = FORMAT
@@ -62,6 +66,7 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
     spot: _SpotTable | None = None
     covariance: _CovarianceTable | None = None
     mount: _MountTable | None = None
+    calibration: _CalibrationTable | None = None
 
 
 def load_rig(path: str | os.PathLike[str]) -> Rig:
@@ -116,6 +121,7 @@ def _assemble(tables: _File) -> Rig:
         spot=None if tables.spot is None else SpotDefinition(**msgspec.structs.asdict(tables.spot)),
         covariance=None if covariance is None else RigCovariance(tuple(covariance.parameters), covariance.matrix),
         mount=None if mount is None else Mount(mount.matrix, mount.frame),
+        refused=None if tables.calibration is None else tables.calibration.refused,
     )
 
 
@@ -148,6 +154,12 @@ def rig_as_toml(rig: Rig) -> str:
     ]
     if camera.pixel_pitch_mm is not None:
         lines.append(f"pixel_pitch_mm = {camera.pixel_pitch_mm!r}")
+    if rig.refused is not None:
+        lines[1:1] = [
+            "",
+            "[calibration]  # it was refused and written all the same: nothing measured with it can be defended",
+            f"refused = {_text(rig.refused)}",
+        ]
     if rig.beam is not None:
         lines += [
             "",
@@ -178,13 +190,17 @@ def rig_as_toml(rig: Rig) -> str:
         lines += [
             "",
             "[mount]  # takes the camera's coordinates to this frame's, mm",
-            # TOML's basic strings are escaped as JSON's are.
-            f"frame = {json.dumps(rig.mount.frame, ensure_ascii=False)}",
+            f"frame = {_text(rig.mount.frame)}",
             "matrix = [",
             *(f"    {_list(row)}," for row in rig.mount.matrix.tolist()),
             "]",
         ]
     return "\n".join(lines) + "\n"
+
+
+def _text(value: str) -> str:
+    # TOML's basic strings are escaped as JSON's are.
+    return json.dumps(value, ensure_ascii=False)
 
 
 def _list(values: tuple[float, ...] | list[float]) -> str:

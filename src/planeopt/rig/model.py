@@ -79,6 +79,9 @@ class Rig:
         Of the free parameters of camera and beam, jointly.
     mount : Mount, optional
         The camera's pose in the frame of a robot's flange or tool.
+    refused : str, optional
+        Why the calibration that it comes from was refused, where it is kept all the same: whatever is measured with it
+        is then `degraded`.
 
     Raises
     ------
@@ -91,6 +94,7 @@ class Rig:
     spot: SpotDefinition | None = None
     covariance: RigCovariance | None = None
     mount: Mount | None = None
+    refused: str | None = None
 
     def __post_init__(self) -> None:
         names = () if self.covariance is None else self.covariance.parameters
