@@ -74,6 +74,8 @@ class Adjustment:
         The same with all observations, where some were left out.
     held : Rig, optional
         Where what is not free stays.
+    prior : Prior, optional
+        What was known beforehand.
     """
 
     observations: Observations
@@ -97,6 +99,7 @@ class Adjustment:
     iterations: int
     before: "Adjustment | None" = None
     held: Rig | None = None
+    prior: Prior | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -166,7 +169,7 @@ def adjust(
     observations: Observations,
     model: Model | None = None,
     *,
-    prior: Rig | None = None,
+    prior: Rig | Prior | None = None,
     held: Rig | None = None,
     start: State | None = None,
     noise: Noise | None = None,
@@ -183,8 +186,8 @@ def adjust(
     observations : Observations
         Each view with at least `LEAST_CORNERS` corners.
     model : Model, optional
-    prior : Rig, optional
-        With a covariance: what is known of the free parameters beforehand.
+    prior : Rig or Prior, optional
+        What is known of free parameters beforehand; a rig with its covariance.
     held : Rig, optional
         Where what is not free stays; needed where the camera is not free.
     start : State, optional
@@ -209,7 +212,12 @@ def adjust(
             raise InputError(f"{view.name}: {len(view)} corners; each view needs {LEAST_CORNERS}")
     packed = Packed.of(observations)
     with_beam = model.beam != "none" or (held is not None and held.beam is not None)
-    task = Task(packed, model, with_beam and bool(packed.boundary_seen.any()), _as_prior(prior, model))
+    task = Task(
+        packed,
+        model,
+        with_beam and bool(packed.boundary_seen.any()),
+        rig_prior(prior, model) if isinstance(prior, Rig) else prior,
+    )
     if model.beam != "none" and not task.with_spots:
         raise AdjustmentError("No view has a spot: the beam cannot be found without one.")
     _enough(task)
@@ -246,7 +254,7 @@ def refit(adjustment: Adjustment, model: Model) -> Adjustment:
     start = replace(adjustment.state, values=np.where(np.isin(FULL, dropped), 0.0, adjustment.state.values))
     if model.focal == "shared":
         start.values[FULL.index("fy")] = start.value("fx")
-    task = Task(packed, model, bool(adjustment.spot_used.any()) and model.beam != "none")
+    task = Task(packed, model, bool(adjustment.spot_used.any()) and model.beam != "none", adjustment.prior)
     try:
         return _Job(observations, task, adjustment.noise, adjustment.held).fit(start, weights, adjustment.noise)
     except np.linalg.LinAlgError as error:
@@ -262,22 +270,23 @@ def _enough(task: Task) -> None:
         raise AdjustmentError(f"{seen} numbers observed cannot determine {unknown} unknowns: more views are needed.")
 
 
-def _as_prior(rig: Rig | None, model: Model) -> Prior | None:
-    if rig is None:
-        return None
+def rig_prior(rig: Rig, model: Model) -> Prior:
+    """Return what a calibrated rig says of a model's parameters, as a prior.
+
+    Raises
+    ------
+    InputError
+        If the rig has no covariance, or one of a parameter that is not free.
+    """
     if rig.covariance is None:
         raise InputError("the rig has no [covariance]: it cannot be a prior")
     names = rig.covariance.parameters
     missing = next((name for name in names if name not in model.names), None)
     if missing is not None:
         raise InputError(f"the rig's covariance has {missing!r}, which is not free in this adjustment")
-    rows = [model.names.index(name) for name in names]
-    information = np.zeros((len(model.names), len(model.names)))
     units = np.outer(rig.covariance.sigmas, rig.covariance.sigmas)
-    information[np.ix_(rows, rows)] = np.linalg.inv(rig.covariance.correlation) / units
-    values = np.zeros(len(model.names))
-    values[rows] = [rig.parameter(name) for name in names]
-    return Prior(values, information)
+    values = np.array([rig.parameter(name) for name in names])
+    return Prior(names, values, np.linalg.inv(rig.covariance.correlation) / units)
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,6 +358,7 @@ class _Job:
             condition=condition(here.total),
             iterations=count,
             held=self.held,
+            prior=task.prior,
         )
 
 

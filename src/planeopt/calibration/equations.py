@@ -52,18 +52,29 @@ class Weights:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is known of free parameters beforehand.
+    """What is known of some parameters beforehand.
 
     Parameters
     ----------
-    values : (g,) array
-        In the order of `Model.names`; what is not known has any value.
-    information : (g, g) array
-        Inverse of their covariance, zero in the rows of what is not known.
+    names : tuple of str
+        As in `Model.names`.
+    values : (n,) array
+    information : (n, n) array
+        Inverse of their covariance.
     """
 
+    names: tuple[str, ...]
     values: Array
     information: Array
+
+    def of(self, model: Model) -> tuple[Array, Array]:
+        """Return values (g,) and information (g, g) for a model's free parameters; what is not free is left out."""
+        known = [row for row, name in enumerate(self.names) if name in model.names]
+        rows = [model.names.index(self.names[row]) for row in known]
+        values, information = np.zeros(len(model.names)), np.zeros((len(model.names), len(model.names)))
+        values[rows] = self.values[known]
+        information[np.ix_(rows, rows)] = self.information[np.ix_(known, known)]
+        return values, information
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,9 +153,10 @@ def equations(task: Task, state: State, weights: Weights, *, huber: bool = False
         loss += more
     total = by_corners + by_boundary
     if task.prior is not None:
-        away = free_values(task.model, state) - task.prior.values
-        pull = task.prior.information @ away
-        total = total.with_prior(task.prior.information, pull)
+        expected, information = task.prior.of(task.model)
+        away = free_values(task.model, state) - expected
+        pull = information @ away
+        total = total.with_prior(information, pull)
         loss += float(away @ pull)
     return Equations(state, linear, boundaries, by_corners, by_boundary, total, loss)
 

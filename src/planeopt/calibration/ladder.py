@@ -15,15 +15,17 @@ from scipy.stats import f as fisher
 
 from planeopt.board import Observations
 from planeopt.calibration.adjustment import Adjustment, adjust, refit
-from planeopt.calibration.equations import AdjustmentError
+from planeopt.calibration.equations import AdjustmentError, Prior
 from planeopt.calibration.model import RUNGS, Model, Rung
+from planeopt.rig import Camera
 
 _log = logging.getLogger(__name__)
 
 LEVEL = 0.01
-"""Chance of adding a term that is not there; of terms of the base model none is left out (see `climb`)."""
-BASE: Rung = "tangential"
-"""The rung that is always climbed where nobody says otherwise."""
+"""A test that sees nothing where there is nothing says so with a chance of 0.99."""
+
+_LENS = 0.02
+"""How far lenses are taken to distort at the image's corner, by each term, as a share of the radius: one sigma."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,12 +95,13 @@ _RUNG_WORDS: dict[Rung, str] = {
 
 
 def climb(observations: Observations, model: Model, rung: Rung | None) -> tuple[Adjustment, tuple[Tested, ...]]:
-    """Adjust on the right rung of the ladder of distortions.
+    """Adjust on a rung of the ladder of distortions, and test each rung against the one below.
 
-    All rungs are adjusted with the weights of the highest, and each is tested against the one below. Where none is
-    asked for, the base is kept whole and k3 is added if its test asks for it: a term that is left out because its test
-    sees nothing stays wrong by up to two of its standard deviations, and the principal point, which goes with p1 and
-    p2, by as many of its own, while its interval becomes much shorter than that.
+    Where no rung is asked for, all terms are free, with a prior that keeps them to what lenses do (`lens_prior`): a
+    term that is left out because its test sees nothing stays wrong by up to two of its standard deviations or more, and
+    what is correlated with it (the principal point with p1 and p2, k2 with k3) by as many of its own, while the
+    intervals become shorter than that. Where the observations tell a term, the prior says nothing beside them; where
+    they do not, it keeps the image's corners from folding.
 
     Parameters
     ----------
@@ -106,25 +109,25 @@ def climb(observations: Observations, model: Model, rung: Rung | None) -> tuple[
     model : Model
         Its distortion is replaced.
     rung : Rung or None
-        The one asked for.
+        The one asked for; its terms are then free without a prior.
+
+    Returns
+    -------
+    Adjustment
+        On that rung.
+    tuple of Tested
+        `k1`, `k2`, `tangential`, `k3`: each rung as a test, all with the weights of the highest.
 
     Raises
     ------
     AdjustmentError
-        If the observations do not determine even the rung that is asked for, or the lowest.
+        If the observations do not determine the rung.
     """
-    top = _highest(observations, model, rung)
-    fits = {name: refit(top, replace(model, distortion=name)) for name in RUNGS[: RUNGS.index(top.model.distortion)]}
-    fits[top.model.distortion] = top
-    pairs = list(pairwise(RUNGS))
-    p_last = None
-    if rung is None:
-        chosen = min(BASE, top.model.distortion, key=RUNGS.index)
-        if "k3" in fits:
-            p_last = compare("k3", fits["tangential"], fits["k3"], used=True, words="").p_value
-            chosen = "k3" if p_last < LEVEL else chosen
-    else:
-        chosen = rung
+    low = adjust(observations, replace(model, distortion="k1", beam="none"))
+    prior = lens_prior(low.camera)
+    top = adjust(observations, replace(model, distortion=RUNGS[-1]), prior=prior)
+    fits = {name: refit(top, replace(model, distortion=name)) for name in RUNGS[:-1]} | {RUNGS[-1]: top}
+    chosen = RUNGS[-1] if rung is None else rung
     tests = tuple(
         compare(
             upper,
@@ -133,24 +136,25 @@ def climb(observations: Observations, model: Model, rung: Rung | None) -> tuple[
             used=RUNGS.index(upper) <= RUNGS.index(chosen),
             words=_RUNG_WORDS[upper].capitalize(),
         )
-        for lower, upper in pairs
-        if upper in fits
+        for lower, upper in pairwise(RUNGS)
     )
-    if chosen == top.model.distortion:
+    if rung is None:
         return top, tests
-    return adjust(observations, replace(model, distortion=chosen), start=fits[chosen].state), tests
+    return adjust(observations, replace(model, distortion=rung), start=fits[rung].state), tests
 
 
-def _highest(observations: Observations, model: Model, rung: Rung | None) -> Adjustment:
-    """Return the adjustment of the highest rung that can be, at least the one asked for."""
-    least = RUNGS.index(rung or "none")
-    for name in reversed(RUNGS[least:]):
-        try:
-            return adjust(observations, replace(model, distortion=name))
-        except AdjustmentError:
-            if name == RUNGS[least]:
-                raise
-    raise AdjustmentError("There is no rung of distortions to adjust.")
+def lens_prior(camera: Camera) -> Prior:
+    """Return how far lenses distort: each term moves the image's corner by 2 % of its radius, as one sigma.
+
+    In the coefficients' own units that depends on the angle of view alone: 0.02 / r^2 for k1, 0.02 / r^4 for k2, with r
+    the normalised radius of the corner. A distortion far beyond that is seen so well that the prior does not count.
+    """
+    width, height = camera.image_size
+    radius = float(np.hypot(width / camera.fx, height / camera.fy)) / 2
+    names = ("k1", "k2", "p1", "p2", "k3")
+    # A tangential term moves the corner by up to 3 p r^2.
+    sigmas = _LENS / np.array([radius**2, radius**4, 3 * radius, 3 * radius, radius**6])
+    return Prior(names, np.zeros(5), np.diag(sigmas**-2))
 
 
 TERMS = ("warp", "aspect", "parallel", "divergence")
