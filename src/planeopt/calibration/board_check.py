@@ -1,0 +1,544 @@
+"""Is the rig still as calibrated? New views of a board test all of it: lens, beam and scale.
+
+Camera, beam, poses and the board's bow are adjusted to the views with hardly any prior, so that what is measured does
+not hang on whether the rig is right; at that place the observations are linearised, and there the old calibration is
+brought in with its joint covariance (`planeopt.calibration.rig_evidence`). Four tests at a family-wise level:
+
+- the *shift*: a change of the calibrated parameters, the same in every view;
+- the *rest*: of what the calibration held fixed, further distortion or a second focal length;
+- the *spots*: what of their ellipses no change of the rig explains;
+- shift and spots *pooled*.
+
+How noisy a corner is, is told from the same views: their residuals have hundreds of degrees of freedom. No record of the
+calibration's own noise is needed, and so none is tested. The board may be bowed by `bow_mm`; its squares are taken as
+stated.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+import scipy.stats
+from numpy.typing import NDArray
+
+from planeopt.board import Observations, View
+from planeopt.calibration.adjustment import Adjustment, adjust
+from planeopt.calibration.approach import approach
+from planeopt.calibration.board_basis import Basis, basis_of, changes_worth_finding, hardly_known
+from planeopt.calibration.equations import AdjustmentError, Equations, Task, Weights, equations, free_values
+from planeopt.calibration.model import Model
+from planeopt.calibration.noise import ELLIPSE
+from planeopt.calibration.per_view import PerView, eliminated, joined, task_of, weights_of
+from planeopt.calibration.rig_evidence import Explained, Extra, RigEvidence, found_from
+from planeopt.calibration.spot_evidence import spots_against
+from planeopt.calibration.state import State
+from planeopt.errors import InputError
+from planeopt.estimation.misfits import LEVEL
+from planeopt.rig import Rig, RigCovariance
+
+Array = NDArray[np.float64]
+
+BOW_MM = 0.2
+"""Standard deviation of how far a board's middle lies off its edges, unless given."""
+
+UNTESTED = (
+    "The board's squares are taken as stated: a board that is larger than that by a share looks like a focal length as "
+    "it was and a beam larger by that share. The noise of the corners is told from these views, not compared with the "
+    "calibration's."
+)
+"""What no views of one board can test."""
+
+
+class BoardState(Enum):
+    """What the views say of the rig; the value is the sentence a user reads."""
+
+    OK = "The views of the board agree with the rig, as far as they can test it."
+    DEGRADED = "The rig is not as calibrated."
+    UNTESTED = "No view of the board could be used to test the rig."
+
+
+class BoardPart(Enum):
+    """What is tested; the value says what it means where it fails."""
+
+    POOLED = "The views together contradict the rig."
+    SHIFT = "The rig's parameters are not those of the file."
+    REST = "The lens differs from the rig file's in what its calibration held fixed."
+    SPOTS = "The spots' boundaries have misfits that no change of the rig explains: the points, or their sigma."
+
+
+TEST_LEVEL = LEVEL / len(BoardPart)
+"""Of each part: together they are wrong no more often than `LEVEL`."""
+
+POWER = 0.9
+"""Probability with which the changes are found that are said to be found."""
+
+GROUPS = {
+    "the focal length": ("f", "fx", "fy"),
+    "the principal point": ("cx", "cy"),
+    "the lens's distortion": ("k1", "k2", "p1", "p2", "k3"),
+    "the beam's offset": ("e_x", "e_y"),
+    "the beam's radius": ("radius",),
+    "the beam's direction": ("direction_x", "direction_y"),
+    "the board's bow": ("warp_x", "warp_y"),
+}
+"""What may have moved, each a cause of its own."""
+
+_MOST_CAUSES = 3
+_ROUNDS = 3
+_STEPS = 10
+_HALVINGS = 6
+# Of chi-squared: what a further step may still gain.
+_NEAR = 1e-4
+
+
+@dataclass(frozen=True)
+class BoardTest:
+    """One part of the evidence; ``p_value`` is how often a right rig does worse."""
+
+    part: BoardPart
+    chi2: float
+    dof: float
+    p_value: float
+
+    @property
+    def ok(self) -> bool:
+        return self.p_value >= TEST_LEVEL
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A group of parameters that a change alone of which explains what is wrong, or the most of it.
+
+    Attributes
+    ----------
+    group : str
+    chi2, dof : float, int
+        What it explains.
+    p_value : float
+        How often a right rig pulls this group as hard.
+    changes : tuple of (name, unit, value, sigma)
+        The change, were it the only one.
+    """
+
+    group: str
+    chi2: float
+    dof: int
+    p_value: float
+    changes: tuple[tuple[str, str, float, float], ...]
+
+
+@dataclass(frozen=True)
+class BoardChange:
+    """One parameter: the file's, updated by the views with the calibration as prior, and what would be found.
+
+    Attributes
+    ----------
+    name, unit : str
+    before, sigma_before : float
+        The file's.
+    after, sigma_after : float
+        The update.
+    sigmas : float
+        The change in standard deviations of the change that a rig as calibrated would give.
+    found_from : float
+        Change of this parameter alone that is found with probability `POWER`; infinite where none is.
+    """
+
+    name: str
+    unit: str
+    before: float
+    sigma_before: float
+    after: float
+    sigma_after: float
+    sigmas: float
+    found_from: float
+
+
+@dataclass(frozen=True)
+class ViewTest:
+    """One view against the rig with its covariance; None where the view has no spot, or cannot test."""
+
+    name: str
+    corners: int
+    rms_px: float
+    chi2: float | None
+    dof: int
+    p_value: float | None
+    spot_chi2: float | None
+    spot_p_value: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class BoardCheck:
+    """A rig against new views of a board.
+
+    Attributes
+    ----------
+    state : BoardState
+    verdict : str
+        ``OK``, ``DEGRADED`` or ``UNTESTED``, and why.
+    tests : tuple of BoardTest
+        Those that the views allow.
+    causes : tuple of Moved
+        Where the shift fails: the fewest groups that explain it, each with what it alone explains; all groups are in
+        `groups`.
+    groups : tuple of Moved
+    changes : tuple of BoardChange
+    views : tuple of ViewTest
+    updated : Rig or None
+        The rig updated by the views, the calibration being the prior; to first order.
+    corner_sigma : float or None
+        Noise of a coordinate of a corner, px, as the views show it.
+    untested : str
+        What could not be tested.
+    adjustment : Adjustment or None
+    """
+
+    state: BoardState
+    verdict: str
+    tests: tuple[BoardTest, ...] = ()
+    causes: tuple[Moved, ...] = ()
+    groups: tuple[Moved, ...] = ()
+    changes: tuple[BoardChange, ...] = ()
+    views: tuple[ViewTest, ...] = ()
+    updated: Rig | None = None
+    corner_sigma: float | None = None
+    untested: str = UNTESTED
+    adjustment: Adjustment | None = None
+
+    @property
+    def ok(self) -> bool:
+        return self.state is BoardState.OK
+
+
+def check_board(observations: Observations, rig: Rig, *, bow_mm: float = BOW_MM) -> BoardCheck:
+    """Test a rig with new views of a board; one is enough to test something.
+
+    Parameters
+    ----------
+    observations : Observations
+    rig : Rig
+        Without a covariance it claims to be exact.
+    bow_mm : float
+        Standard deviation of the depth of the board's middle behind its edges, along x and along y.
+
+    Returns
+    -------
+    BoardCheck
+
+    Raises
+    ------
+    InputError
+        If the images are not of the camera's size, or the bow is not a positive number.
+    """
+    if observations.image_size != rig.camera.image_size:
+        seen, has = ("{} x {}".format(*size) for size in (observations.image_size, rig.camera.image_size))
+        raise InputError(f"the images are of {seen} px, but the rig's camera has {has} px")
+    if not (np.isfinite(bow_mm) and bow_mm > 0):
+        raise InputError(f"how far the board may be bowed must be a positive number of mm, not {bow_mm}")
+    if not observations.views:
+        return _untested("no view of the board was found")
+    with_beam = rig.beam is not None and any(view.spot is not None for view in observations.views)
+    model = Model(focal="separate", distortion="k3", warp=True, beam="free" if with_beam else "none")
+    reach = changes_worth_finding(rig, model, bow_mm)
+    try:
+        fit = adjust(observations, model, prior=hardly_known(rig, model, reach), held=rig)
+    except (AdjustmentError, InputError) as reason:
+        return _untested(str(reason))
+    return _judged(fit, rig, basis_of(rig, model, reach, bow_mm))
+
+
+def _untested(reason: str) -> BoardCheck:
+    return BoardCheck(BoardState.UNTESTED, f"UNTESTED: {BoardState.UNTESTED.value} ({reason.rstrip('.')})")
+
+
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """The views linearised where they and the calibration put the rig: each view alone, by its corners and by all."""
+
+    here: Equations
+    moved: Array
+    corners: PerView
+    each: PerView
+
+
+def _linear(task: Task, weights: Weights, start: State, basis: Basis, loose: Sequence[str]) -> _Linear:
+    """Adjust with the calibration as prior, but for parameters that are known to have moved."""
+    here = _towards(replace(task, prior=basis.prior(loose)), start, weights)
+    selection, spots = task.model.selection, here.boundaries
+    corner_weight = np.repeat(weights.corners, 2, axis=1)
+    corners = eliminated(here.corners, corner_weight, selection)
+    parts = [(here.corners, corner_weight)]
+    each = corners if spots is None else joined([*parts, (spots.linear, weights.boundary)], selection)
+    return _Linear(here, free_values(task.model, here.state) - basis.full, corners, each)
+
+
+def _towards(task: Task, start: State, weights: Weights) -> Equations:
+    """Go some steps down: a place to linearise at, for which any near the least cost will do."""
+    here = equations(task, start, weights)
+    for _ in range(_STEPS):
+        shared, pose = here.total.step()
+        for halved in range(_HALVINGS):
+            part = 0.5**halved
+            try:
+                to = here.state.moved(task.model.selection @ (part * shared), part * pose[:, :3], part * pose[:, 3:])
+                there = equations(task, to, weights)
+            except InputError:
+                continue
+            if there.cost < here.cost:
+                break
+        else:
+            return here
+        near = here.cost - there.cost < _NEAR
+        here = there
+        if near:
+            break
+    return here
+
+
+def _judged(fit: Adjustment, rig: Rig, basis: Basis) -> BoardCheck:
+    """Test at the calibration's place; where it fails, find what moved and measure it there."""
+    task = task_of(fit)
+    weights = weights_of(fit, task.packed)
+    noise = fit.dof_corners
+    linear = _linear(task, weights, approach(task, rig), basis, ())
+    evidence, extra = _of(linear.each, linear.moved, basis)
+    tests = _tests(evidence, extra, fit)
+    views = tuple(
+        _view(row, fit, linear, basis, spot)
+        for row, spot in enumerate(spots_against(task, weights, linear.here, basis))
+    )
+    causes: tuple[Moved, ...] = ()
+    if any(test.part is BoardPart.SHIFT and not test.ok for test in tests):
+        evidence, causes = _measured(task, weights, linear, basis, noise)
+    changes = _changes(evidence, basis)
+    state = BoardState.OK if all(test.ok for test in tests) else BoardState.DEGRADED
+    result = BoardCheck(
+        state,
+        "",
+        tests,
+        causes,
+        _groups(evidence, basis, noise),
+        changes,
+        views,
+        _updated(rig, evidence, basis),
+        fit.corner_sigma,
+        _untested_words(changes, basis, fit),
+        fit,
+    )
+    return replace(result, verdict=_verdict(result, rig))
+
+
+def _measured(
+    task: Task, weights: Weights, linear: _Linear, basis: Basis, noise: float
+) -> tuple[RigEvidence, tuple[Moved, ...]]:
+    """Find what moved, and again from where that puts the rig, until it is the same."""
+    evidence = _of(linear.each, linear.moved, basis)[0]
+    causes = _causes(evidence, basis, noise)
+    for _ in range(_ROUNDS):
+        loose = [name for cause in causes for name in GROUPS[cause.group]]
+        linear = _linear(task, weights, linear.here.state, basis, loose)
+        evidence = _of(linear.each, linear.moved, basis)[0]
+        again = _causes(evidence, basis, noise)
+        same = {cause.group for cause in again} == {cause.group for cause in causes}
+        causes = again
+        if same:
+            break
+    return evidence, causes
+
+
+def _of(each: PerView, moved: Array, basis: Basis) -> tuple[RigEvidence, Extra]:
+    """What views say of the rig as calibrated: their pull there is that where the views put it, and the way to it."""
+    information = each.information.sum(axis=0)
+    pull = information @ moved + each.pull.sum(axis=0)
+    return basis.evidence(information, pull), basis.beyond(information, pull)
+
+
+def _p_value(chi2: float, dof: float, dof_noise: float) -> float:
+    """Of chi-squared over a noise that was estimated: F; a little too large where the calibration's share is large."""
+    return float(scipy.stats.f.sf(chi2 / dof, dof, max(dof_noise, 1.0)))
+
+
+def _tests(evidence: RigEvidence, extra: Extra, fit: Adjustment) -> tuple[BoardTest, ...]:
+    shift, dof = evidence.test()
+    rest, dof_rest = evidence.beyond(extra) if len(extra.pull) else (0.0, 0)
+    spots, dof_spots = (fit.chi2_spots, fit.dof_spots) if fit.spot_used.any() else (0.0, 0.0)
+    made = [
+        (BoardPart.SHIFT, shift, float(dof), True),
+        (BoardPart.REST, rest, float(dof_rest), True),
+        (BoardPart.SPOTS, spots, dof_spots, False),
+    ]
+    if dof_spots >= 1 and dof > 0:
+        made.insert(0, (BoardPart.POOLED, shift + spots, dof + dof_spots, True))
+    return tuple(
+        BoardTest(part, chi2, n, _p_value(chi2, n, fit.dof_corners) if scaled else float(scipy.stats.chi2.sf(chi2, n)))
+        for part, chi2, n, scaled in made
+        if n >= 1
+    )
+
+
+def _groups(evidence: RigEvidence, basis: Basis, dof_noise: float) -> tuple[Moved, ...]:
+    """Each group as if it alone had moved."""
+    found = []
+    for group, members in GROUPS.items():
+        rows = _rows_of(basis, members)
+        if rows:
+            found.append(_moved(group, rows, rows, evidence.explained_by(rows), evidence, basis, dof_noise))
+    return tuple(found)
+
+
+def _moved(
+    group: str,
+    rows: Sequence[int],
+    together: Sequence[int],
+    explained: Explained,
+    evidence: RigEvidence,
+    basis: Basis,
+    dof_noise: float,
+) -> Moved:
+    """One group of those whose change together explains something: what it adds to the others."""
+    others = [row for row in together if row not in rows]
+    without = evidence.explained_by(others) if others else None
+    chi2 = explained.chi2 - (0.0 if without is None else without.chi2)
+    dof = explained.dof - (0 if without is None else without.dof)
+    places = [list(together).index(row) for row in rows]
+    changes = tuple(
+        (basis.names[row], unit_of(basis.names[row]), float(explained.change[at]), float(explained.sigma[at]))
+        for row, at in zip(rows, places, strict=True)
+    )
+    p_value = _p_value(max(chi2, 0.0), dof, dof_noise) if dof > 0 else 1.0
+    return Moved(group, max(chi2, 0.0), dof, p_value, changes)
+
+
+def _causes(evidence: RigEvidence, basis: Basis, dof_noise: float) -> tuple[Moved, ...]:
+    """Return the fewest groups, three at most, whose change leaves what chance explains; each beside the others."""
+    total, dof = evidence.test()
+    left = {group: rows for group, members in GROUPS.items() if (rows := _rows_of(basis, members))}
+    chosen: dict[str, list[int]] = {}
+    for _ in range(min(_MOST_CAUSES, len(left))):
+        best: tuple[float, float, str] | None = None
+        for group, rows in left.items():
+            explained = evidence.explained_by([row for known in (*chosen.values(), rows) for row in known])
+            remains = max(total - explained.chi2, 0.0)
+            # Where all leave what is impossible, probabilities are out of range: chi-squared decides.
+            rank = _p_value(remains, max(dof - explained.dof, 1), dof_noise), -remains, group
+            best = rank if best is None or rank > best else best
+        if best is None:
+            break
+        chosen[best[2]] = left.pop(best[2])
+        if best[0] >= LEVEL:
+            break
+    everything = [row for rows in chosen.values() for row in rows]
+    explained = evidence.explained_by(everything)
+    return tuple(
+        _moved(group, rows, everything, explained, evidence, basis, dof_noise) for group, rows in chosen.items()
+    )
+
+
+def _rows_of(basis: Basis, members: Sequence[str]) -> list[int]:
+    return [row for row, name in enumerate(basis.names) if name in members]
+
+
+_UNDERFLOW = 1e-300
+
+
+def _changes(evidence: RigEvidence, basis: Basis) -> tuple[BoardChange, ...]:
+    sigma_before, sigma_after, expected = (
+        np.sqrt(np.maximum(np.diagonal(matrix), 0.0)) for matrix in (basis.sigma, evidence.updated, evidence.expected)
+    )
+    sigmas = evidence.update / np.maximum(expected, np.finfo(np.float64).tiny)
+    least = found_from(evidence, TEST_LEVEL, POWER)
+    columns = (basis.before, sigma_before, basis.before + evidence.update, sigma_after, sigmas, least)
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    return tuple(BoardChange(name, unit_of(name), *row) for name, row in zip(basis.names, rows, strict=True))
+
+
+def _updated(rig: Rig, evidence: RigEvidence, basis: Basis) -> Rig | None:
+    """The rig after the update; None for one that claims to be exact, or where the update is none of a rig."""
+    if rig.covariance is None:
+        return None
+    names = basis.names[:-2]
+    values = dict(zip(names, (basis.before + evidence.update)[:-2].tolist(), strict=True))
+    try:
+        moved = rig.with_parameters(values)
+    except InputError:
+        return None
+    return replace(moved, covariance=RigCovariance(names, evidence.updated[:-2, :-2]))
+
+
+def _view(row: int, fit: Adjustment, linear: _Linear, basis: Basis, spot: float) -> ViewTest:
+    view: View = fit.observations.views[row]
+    used = fit.corner_used[row]
+    corners = linear.corners
+    alone = PerView(corners.information[row : row + 1], corners.pull[row : row + 1])
+    chi2, dof = _of(alone, linear.moved, basis)[0].test()
+    residual = fit.corner_residuals[row][used]
+    has_spot = bool(np.isfinite(spot))
+    return ViewTest(
+        view.name,
+        int(np.count_nonzero(used)),
+        float(np.sqrt(np.mean(residual**2))) if len(residual) else 0.0,
+        chi2 if dof else None,
+        dof,
+        _p_value(chi2, dof, fit.dof_corners) if dof else None,
+        float(spot) if has_spot else None,
+        float(scipy.stats.chi2.sf(spot, ELLIPSE)) if has_spot else None,
+    )
+
+
+def _untested_words(changes: Sequence[BoardChange], basis: Basis, fit: Adjustment) -> str:
+    """What these views could not test, and what none of one board can."""
+    reach = dict(zip(basis.names, basis.reach.tolist(), strict=True))
+    words = []
+    blind = [
+        group
+        for group, members in GROUPS.items()
+        if group != "the board's bow"
+        and any(change.name in members for change in changes)
+        and all(change.found_from > reach[change.name] for change in changes if change.name in members)
+    ]
+    if blind:
+        words.append(f"Not tested by these views, but for gross changes: {', '.join(blind)}.")
+    if not fit.spot_used.any():
+        words.append("Not tested, since no view has a spot: the beam.")
+    return " ".join([*words, UNTESTED])
+
+
+def _verdict(result: BoardCheck, rig: Rig) -> str:
+    words = [f"{result.state.name}: {result.state.value}"]
+    for test in result.tests:
+        if not test.ok:
+            words.append(f"{test.part.value.removesuffix('.')} ({_numbers(test)}).")
+    if result.causes:
+        words.append(f"What explains it: {'; '.join(map(_cause, result.causes))}.")
+    if result.ok:
+        words.append(" ".join(f"{test.part.name.capitalize()}: {_numbers(test)}." for test in result.tests[:1]))
+    if not result.ok and rig.covariance is None:
+        words.append("The rig file has no covariance: an error that the calibration itself left counts as a change.")
+    return " ".join(words)
+
+
+def _numbers(test: BoardTest) -> str:
+    p_value = f"p = {test.p_value:.2g}" if test.p_value > _UNDERFLOW else f"p < {_UNDERFLOW}"
+    return f"chi-squared {test.chi2:.4g} with {test.dof:.3g} degrees of freedom, {p_value}"
+
+
+def _cause(moved: Moved) -> str:
+    listed = ", ".join(
+        f"{name} by {value:+.3g} +- {sigma:.2g}{'' if unit == '1' else ' ' + unit}"
+        for name, unit, value, sigma in moved.changes
+    )
+    return f"{moved.group} ({listed}; {abs_sigmas(moved):.1f} sigma)"
+
+
+def abs_sigmas(moved: Moved) -> float:
+    """Return the length of a change in its own standard deviations."""
+    return float(np.sqrt(moved.chi2))
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a parameter: px, mm or 1."""
+    if name in ("f", "fx", "fy", "cx", "cy"):
+        return "px"
+    return "mm" if name in ("warp_x", "warp_y", "e_x", "e_y", "radius") else "1"
