@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
@@ -281,7 +281,7 @@ def test_papers_are_known_by_name_or_size():
     st.integers(3, 12),
     st.integers(3, 12),
     st.booleans(),
-    st.tuples(*[st.floats(0, 1)] * 4),
+    st.tuples(*[st.floats(0, 0.95)] * 2, *[st.floats(0.02, 1)] * 2),
 )
 def test_nothing_is_black_under_a_window_wherever_it_is(
     columns: int, rows: int, legacy: bool, shares: tuple[float, float, float, float]
@@ -289,7 +289,6 @@ def test_nothing_is_black_under_a_window_wherever_it_is(
     plain = Board((columns, rows), (10.0, 10.0), 7.5, "DICT_4X4_100", legacy=legacy)
     x, y = shares[0] * plain.size_mm[0], shares[1] * plain.size_mm[1]
     width, height = shares[2] * (plain.size_mm[0] - x), shares[3] * (plain.size_mm[1] - y)
-    assume(min(width, height) > 0.01)
     board = replace(plain, window_mm=(x, y, width, height))
 
     def covered(rectangles: FloatArray) -> float:

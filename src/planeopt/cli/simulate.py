@@ -74,8 +74,10 @@ def _write(scene: "Scene", folder: Path) -> None:
     from planeopt.simulation import frame, render, save_scene
 
     digits = max(4, len(str(scene.frames)))
-    console = Console(stderr=True)
-    for index in track(range(scene.frames), "images", console=console, transient=True, disable=not sys.stderr.isatty()):
+    frames = range(scene.frames)
+    # Only where someone watches: a bar that is disabled leaves an empty line behind, in rich's older versions.
+    watched = track(frames, "images", console=Console(stderr=True), transient=True) if sys.stderr.isatty() else frames
+    for index in watched:
         single = frame(scene, index)
         number = f"{index + 1:0{digits}d}"
         shot = render(single, name=f"image_{number}.png")
