@@ -84,7 +84,13 @@ def calibration_file() -> CalibrationFile:
             expected_px=0.091,
             folds=(
                 FoldRecord(
-                    views=("a.png", "b.png"), error_px=0.09, expected_px=0.091, largest_shift=1.2, parameter="cx"
+                    views=("a.png", "b.png"),
+                    error_px=0.09,
+                    expected_px=0.091,
+                    spot_error_px=0.1,
+                    spot_expected_px=None,
+                    largest_shift=1.2,
+                    parameter="cx",
                 ),
             ),
         ),

@@ -232,17 +232,23 @@ class NextViewRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 class FoldRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The views of one fold, left out, predicted by a calibration from the others."""
+    """The views of one fold, left out, predicted by a calibration from the others: corners, then spots.
+
+    `largest_shift` is the largest change of a parameter (which is named) from its value with all views, over the
+    standard deviation of such a difference.
+    """
 
     views: tuple[str, ...]
     error_px: float | None
     expected_px: float | None
+    spot_error_px: float | None
+    spot_expected_px: float | None
     largest_shift: float | None
     parameter: str | None
 
 
 class HeldOutRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Observations that had no say, predicted by the others."""
+    """Observations that had no say, predicted by the others: half of each view's corners by the other half; folds."""
 
     ok: bool
     sentence: str
@@ -298,6 +304,11 @@ class CalibrationFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     held_out: HeldOutRecord | None
     cost: tuple[CostRecord, ...]
     observations: ObservationsRecord
+
+    @property
+    def has_rig(self) -> bool:
+        """Whether a `rig.toml` goes with it: there is one that was not refused, or it was asked for all the same."""
+        return self.adjustment is not None and (self.verdict != "refused" or self.forced)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values, in the order of the keys."""

@@ -139,6 +139,8 @@ def _held_out(found: HeldOut) -> HeldOutRecord:
                 views=tuple(fold.views),
                 error_px=_number(fold.error_px),
                 expected_px=_number(fold.expected_px),
+                spot_error_px=_number(fold.spots.error_px),
+                spot_expected_px=_number(fold.spots.expected_px),
                 largest_shift=_number(fold.largest_shift),
                 parameter=fold.parameter,
             )

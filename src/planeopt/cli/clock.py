@@ -8,6 +8,17 @@ from planeopt.errors import InputError
 _VARIABLE = "SOURCE_DATE_EPOCH"
 
 
+def stated_time() -> datetime | None:
+    """Return the time of SOURCE_DATE_EPOCH; None where it is not set.
+
+    Raises
+    ------
+    InputError
+        If the variable is no time.
+    """
+    return now() if os.environ.get(_VARIABLE, "").strip() else None
+
+
 def now() -> datetime:
     """Return the time of SOURCE_DATE_EPOCH (reproducible-builds.org) where it is set, else the clock's.
 

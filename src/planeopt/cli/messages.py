@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import TaskID
 
 PLAIN_WIDTH = 150
 """Width of tables, in characters, where nobody's terminal says how wide it is: into a file or a pipe."""
@@ -101,6 +102,30 @@ def _bar(console: "Console", task: str, total: int, *, quiet: bool) -> Iterator[
     with Progress(console=console, transient=True, redirect_stdout=False, redirect_stderr=False) as progress:
         bar = progress.add_task(task, total=total)
         yield lambda: progress.advance(bar)
+
+
+@contextmanager
+def stages() -> Iterator[Callable[[str, int, int], None]]:
+    """Yield what to call with a stage's name and how many of how many of its parts are done.
+
+    It moves a bar for each stage where someone watches, and does nothing elsewhere.
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda *_: None
+        return
+    with Progress(console=console, transient=True, redirect_stdout=False, redirect_stderr=False) as progress:
+        bars: dict[str, TaskID] = {}
+
+        def tell(stage: str, done: int, total: int) -> None:
+            if stage not in bars:
+                bars[stage] = progress.add_task(stage, total=total)
+            progress.update(bars[stage], completed=done, total=total)
+
+        yield tell
 
 
 def _say(console: "Console", message: str) -> None:

@@ -1,7 +1,7 @@
 """Tables for the terminal: a row a thing, its numbers each in a format of its own."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -42,6 +42,30 @@ def table(
             *(row[key] or "-" for _, key in words),
             *(_number(row[key], style) for _, key, style in numbers),
         )
+    return made
+
+
+def text_table(
+    title: str, columns: Sequence[tuple[str, Literal["left", "right"]]], rows: Sequence[Sequence[str]]
+) -> "Table":
+    """Return a table of texts.
+
+    Parameters
+    ----------
+    title : str
+    columns : sequence of (heading, "left" or "right")
+    rows : sequence of sequence of str
+    """
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    made = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    for i, (heading, side) in enumerate(columns):
+        made.add_column(heading, justify=side, no_wrap=i == 0 or side == "right")
+    for row in rows:
+        # As they are: a file's name may hold what is markup elsewhere.
+        made.add_row(*map(Text, row))
     return made
 
 

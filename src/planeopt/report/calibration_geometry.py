@@ -6,14 +6,15 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from planeopt.board import Board
-from planeopt.calibration.record import AdjustmentRecord, BoardRecord, CalibrationFile, SectionRecord
 from planeopt.calibration.adjusted import WITHIN
+from planeopt.calibration.record import AdjustmentRecord, BoardRecord, CalibrationFile, SectionRecord
 from planeopt.report.content import Picture
 from planeopt.report.style import BAND, DARK, ELLIPSE, PAGE_WIDTH, REJECTED, page_figure, picture
 
 Array = NDArray[np.float64]
 
 _MICROMETRES = 1e3
+_PALE = 20.0  # µm: a bow below this does not take the full range of colours
 
 
 def beam(adjustment: AdjustmentRecord) -> Picture | None:
@@ -35,13 +36,13 @@ def beam(adjustment: AdjustmentRecord) -> Picture | None:
             _points(above, along, measured, used)
             above.set_title(f"{'radius' if kind == 2 else f'{name} of the middle'} (mm)", loc="left")
             above.ticklabel_format(useOffset=False)
-            _band(below, adjustment, kind, reach)
+            width = _band(below, adjustment, kind, reach)
             bars = _MICROMETRES * WITHIN * sigma
             away = _MICROMETRES * (measured - fitted)
             below.errorbar(along, away, bars, fmt="none", ecolor=DARK, elinewidth=1.0, capsize=2)
             _points(below, along, away, used)
             below.axhline(0, color=ELLIPSE, lw=1.2)
-            below.set_title("less the fitted beam (µm)", loc="left")
+            below.set_title(f"less the fitted beam (µm); band up to ±{width:.2g}", loc="left")
             room = 1.25 * float(np.max(np.abs(away) + bars))
             below.set(xlabel="distance along the beam (mm)", ylim=(-room, room))
         panels[0, 0].legend(loc="best", frameon=False)
@@ -72,8 +73,8 @@ def _column(sections: list[SectionRecord], kind: int, adjustment: AdjustmentReco
 _RADIUS = 2
 
 
-def _band(axes: Axes, adjustment: AdjustmentRecord, kind: int, reach: Array) -> None:
-    """Draw the interval of 95 % of the fitted beam; the axes show as much of it as the measurements leave room for."""
+def _band(axes: Axes, adjustment: AdjustmentRecord, kind: int, reach: Array) -> float:
+    """Draw the interval of 95 % of the fitted beam, as much as the axes show of it; return its largest half width."""
     names = adjustment.covariance.parameters
     at_zero, slope = (("e_x", "direction_x"), ("e_y", "direction_y"), ("radius", "divergence"))[kind]
     gradient = np.zeros((len(reach), len(names)))
@@ -83,6 +84,7 @@ def _band(axes: Axes, adjustment: AdjustmentRecord, kind: int, reach: Array) -> 
     spread = np.sqrt(np.sum(gradient @ np.array(adjustment.covariance.matrix) * gradient, axis=1))
     width = _MICROMETRES * WITHIN * spread
     axes.fill_between(reach, -width, width, color=BAND[0], lw=0)
+    return float(width.max())
 
 
 def warp(file: CalibrationFile, adjustment: AdjustmentRecord) -> Picture | None:
@@ -95,7 +97,8 @@ def warp(file: CalibrationFile, adjustment: AdjustmentRecord) -> Picture | None:
     width, height = board.size_mm
     x, y = np.meshgrid(np.linspace(0, width, 91), np.linspace(0, height, 71))
     bow = board.bow(np.stack([x, y], axis=-1)) @ [values["warp_x"], values["warp_y"]]
-    limit = max(float(np.max(np.abs(bow))), 1e-4)
+    bow = _MICROMETRES * bow
+    limit = max(float(np.max(np.abs(bow))), _PALE)
     with page_figure(6.6, 0.7 + 5.0 * height / width) as figure:
         axes = figure.subplots()
         levels = np.linspace(-limit, limit, 17)
@@ -106,6 +109,6 @@ def warp(file: CalibrationFile, adjustment: AdjustmentRecord) -> Picture | None:
             left, top, across, down = board.window_mm
             axes.add_patch(Rectangle((left, top), across, down, fill=False, color="black", lw=1.0, ls="--"))
         axes.set(xlim=(0, width), ylim=(height, 0), aspect="equal", xlabel="x (mm)", ylabel="y (mm)")
-        axes.set_title("depth of the board behind its plane (mm)", loc="left")
-        figure.colorbar(drawn, ax=axes, shrink=0.85, format="%+.3f")
+        axes.set_title("depth of the board behind its plane (µm)", loc="left")
+        figure.colorbar(drawn, ax=axes, shrink=0.85, format="%+.3g")
         return picture(figure, "Map of the board's bow, with its corners and its window")

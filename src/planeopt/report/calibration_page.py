@@ -16,6 +16,7 @@ from planeopt.report.calibration_words import CAPTIONS, FORCED, JOINT, NOT_WRITT
 from planeopt.report.cells import facts
 from planeopt.report.content import Block, Figure, Page, Picture, Section, Text
 from planeopt.report.html import to_html
+from planeopt.report.words import number, p_text
 from planeopt.rig import BEAM_PARAMETERS
 
 Data = Mapping[str, Any]
@@ -64,7 +65,7 @@ def _verdict(file: CalibrationFile, data: Data) -> Section:
     if file.verdict == "refused":
         blocks.append(Text(FORCED if file.forced else NOT_WRITTEN, "refused"))
     if file.next_view is not None:
-        blocks.append(Text(f"What to shoot next: {file.next_view.sentence}", "note"))
+        blocks.append(Text(file.next_view.sentence, "note"))
     if file.gates:
         blocks.append(tables.gates(data))
     return Section("verdict", "Verdict", tuple(blocks), tone=file.verdict, flows=True)
@@ -76,14 +77,36 @@ def _figure(key: str, title: str, drawn: Picture) -> Figure:
 
 def _parameters(file: CalibrationFile, data: Data, found: AdjustmentRecord) -> Iterator[Block]:
     yield tables.parameters(data)
-    if "parallel" in file.tests:
-        yield Text(file.tests["parallel"].sentence)
+    yield from _directions(file, found)
     yield tables.noise(data)
     yield _figure("correlations", "Correlations", correlations(found))
     strongest = _strongest(found)
     if strongest is not None:
         pair, value = strongest
         yield Text(JOINT.format(pair=pair, value=f"{value:+.4f}"), "note")
+
+
+def _directions(file: CalibrationFile, found: AdjustmentRecord) -> Iterator[Block]:
+    """Say how far the beam is from parallel, and from a cylinder."""
+    angle = next((one for one in found.derived if one.name == "angle_mrad"), None)
+    parallel, divergence = file.tests.get("parallel"), file.tests.get("divergence")
+    if angle is not None and parallel is not None:
+        known = "" if angle.sigma is None else f" ± {number(angle.sigma, angle.sigma)}"
+        yield Text(
+            f"The beam and the optical axis make an angle of {number(angle.value, angle.sigma)}{known} mrad: "
+            f"{'not parallel' if parallel.p_value < _LEVEL else 'parallel, as far as can be told'} "
+            f"(F = {parallel.statistic:.3g}, p = {p_text(parallel.p_value)}, of its two components together)."
+        )
+    if divergence is not None and "divergence" in divergence.larger:
+        value, sigma = (1e3 * part for part in divergence.larger["divergence"])
+        yield Text(
+            f"Were its radius free to grow along it, the beam would diverge by {number(value, sigma)} ± "
+            f"{number(sigma, sigma)} mrad, half angle (p = {p_text(divergence.p_value)}): "
+            f"{'it is not a cylinder' if divergence.p_value < _LEVEL else 'a cylinder, as far as can be told'}."
+        )
+
+
+_LEVEL = 0.01
 
 
 def _strongest(found: AdjustmentRecord) -> tuple[str, float] | None:

@@ -18,7 +18,7 @@ _ARROWS = 4000  # drawn at most
 _CELLS = 12  # across the image
 _PER_CELL = 4  # corners at least
 _SHARE = 28  # of the image's width takes an arrow of the key's length
-_CHANCE = 1e-3
+_CHANCE = 0.01  # of marking any cell of a picture without cause
 _DOTTED = 80  # views at most whose single residuals are drawn
 _REACH = 5.0  # sigma, of the strips
 
@@ -107,7 +107,7 @@ def vectors(file: CalibrationFile, left: Left) -> Picture:
 
 
 def _arrows(
-    axes: Axes, places: Array, arrows: Array, unit: float, width: int, colour: str, *, thick: float = 1
+    axes: Axes, places: Array, arrows: Array, unit: float, width: int, colour: str | list[str], *, thick: float = 1
 ) -> None:
     """Draw arrows, one of length `unit` taking a share of the image, and a key above them."""
     drawn = axes.quiver(
@@ -122,7 +122,7 @@ def _arrows(
         headlength=4,
         headaxislength=3.6,
     )
-    axes.quiverkey(drawn, 0.035, 1.045, unit, f"{unit:g} px", labelpos="E", coordinates="axes")
+    axes.quiverkey(drawn, 0.035, 1.045, unit, f"{unit:g} px", labelpos="E", coordinates="axes", color=DARK)
 
 
 def _means(axes: Axes, left: Left, width: int, height: int) -> None:
@@ -137,7 +137,7 @@ def _means(axes: Axes, left: Left, width: int, height: int) -> None:
     mean = [np.bincount(cell, weight * part, minlength=rows * _CELLS) for part in left.corners[left.used].T]
     enough = count >= _PER_CELL
     shift = np.stack(mean, axis=1)[enough] / total[enough, None]
-    odd = scipy.stats.chi2.sf(np.sum(shift**2, axis=1) * total[enough], 2) < _CHANCE
+    odd = scipy.stats.chi2.sf(np.sum(shift**2, axis=1) * total[enough], 2) < _CHANCE / max(len(shift), 1)
     where = np.flatnonzero(enough)
     middle = [(where % _CELLS + 0.5) * size - 0.5, (where // _CELLS + 0.5) * height / rows - 0.5]
     places = np.stack(middle, axis=1).astype(np.float64)
@@ -145,13 +145,11 @@ def _means(axes: Axes, left: Left, width: int, height: int) -> None:
         axes.axvline(line, color="0.92", lw=0.7, zorder=0)
     for line in np.arange(1, rows) * height / rows - 0.5:
         axes.axhline(line, color="0.92", lw=0.7, zorder=0)
-    axes.set_title(f"means of cells, {np.count_nonzero(odd)} of {len(where)} not chance", loc="right")
+    axes.set_title(f"means of cells, {np.count_nonzero(odd)} of {len(where)} beyond chance", loc="right")
     if not len(where):
         return
     unit = _round(float(np.quantile(np.linalg.norm(shift, axis=1), 0.9)))
-    for group, colour in ((~odd, DARK), (odd, LIGHT)):
-        if np.any(group):
-            _arrows(axes, places[group], shift[group], unit, width, colour, thick=1.7)
+    _arrows(axes, places, shift, unit, width, np.where(odd, LIGHT, DARK).tolist(), thick=1.7)
 
 
 def _round(value: float) -> float:

@@ -198,11 +198,13 @@ def folds(data: Data) -> Table:
                 Cell(_some(fold["views"])),
                 cell(data, f"{at}.error_px", 3),
                 cell(data, f"{at}.expected_px", 3),
+                cell(data, f"{at}.spot_error_px", 3),
+                cell(data, f"{at}.spot_expected_px", 3),
                 cell(data, f"{at}.largest_shift", 2),
                 Cell(_named(fold["parameter"] or "-")),
             )
         )
-    columns = ("left out", "error (px)", "expected (px)", "largest shift (sigma)", "of")
+    columns = ("left out", "corners (px)", "expected", "spots (px)", "expected", "largest shift (sigma)", "of")
     return Table("Folds", columns, tuple(rows), CAPTIONS["held_out"], last_in_words=True, key="held_out")
 
 

@@ -43,7 +43,7 @@ NAMES = {
 }
 
 VERDICTS = {
-    "ok": "Good: nothing stands against this calibration.",
+    "ok": "Good.",
     "degraded": "Usable with a reservation: read why before it is used.",
     "refused": "Refused: planes measured with this rig could not be defended.",
 }
@@ -85,16 +85,19 @@ CAPTIONS = {
         "has to be known to. No number of images of planes makes it smaller; a better calibration does."
     ),
     "ladder": (
-        "The ladder of lens models, from none to five coefficients: each step is taken if the residuals call for it. "
-        "Good: p far below 0.01 for the steps taken and not for the next; f hardly moves over the last ones."
+        "The ladder of lens models, each rung against the one below. Unless one was asked for, all five coefficients "
+        "are free and kept to what lenses do: one that is left out because its test sees nothing would make the "
+        "intervals of the others too short. Good: the p of the last rung is not tiny, so that no further one is "
+        "missing; f hardly moves over the last rungs."
     ),
     "tests": (
-        "What else could have been in the model. Good: the board flat (no bow found), the pixels square, the beam "
-        "without divergence. A direction that is not parallel is no fault: it is measured and allowed for."
+        "What else is in the model, or could be. Good: the board flat (no bow found), the pixels square, the beam "
+        "without divergence. A beam that is not parallel to the optical axis is no fault: its direction is measured "
+        "and allowed for."
     ),
     "vectors": (
         "What is left of each corner, observed minus predicted, all views on one image: left each, magnified; right "
-        "the means of cells, magnified more, orange where chance would give so much less than once in 1,000. Good: "
+        "the means of cells, magnified more, orange where chance gives so much in less than one picture of 100. Good: "
         "left arrows at random, right short ones and none orange. Neighbours that all point one way mean a lens that "
         "is not described, a bowed board, or corners measured with a bias."
     ),
@@ -137,10 +140,11 @@ CAPTIONS = {
         "What is drawn was compensated; a board that is bowed in another shape is not."
     ),
     "held_out": (
-        "Views that had no say, predicted by a calibration from the others: the error of a corner's coordinate against "
-        "what is expected of noise and of the calibration's own uncertainty, and the parameter that moved most, in "
-        "standard deviations of the difference. Good: errors as expected, no parameter beyond 3. A board that is bowed "
-        "or measured wrongly is not noticed by this: it is the same in all views."
+        "Views that had no say, predicted by a calibration from the others: the error of half of their corners (the "
+        "other half gives the pose) and of their spots against what noise and the calibration's own uncertainty lead "
+        "one to expect, and the parameter that moved most, in standard deviations of such differences. Good: errors as "
+        "expected, no parameter beyond 3 or 4. A board that is bowed or measured wrongly is not noticed by this: it is "
+        "the same in all views."
     ),
     "with_all": (
         "Corners beyond 4 standard deviations (at most 3 %) and spots of no ellipse are left out by rule, never to "
