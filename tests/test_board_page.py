@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
@@ -283,6 +283,7 @@ def test_papers_are_known_by_name_or_size():
     st.booleans(),
     st.tuples(*[st.floats(0, 0.95)] * 2, *[st.floats(0.02, 1)] * 2),
 )
+@example(3, 3, False, (0.0, 0.0, 1.0, 1.0))
 def test_nothing_is_black_under_a_window_wherever_it_is(
     columns: int, rows: int, legacy: bool, shares: tuple[float, float, float, float]
 ):

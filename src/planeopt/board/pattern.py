@@ -23,7 +23,8 @@ def black_rectangles(board: Board) -> FloatArray:
     The window is white throughout: squares are cut at its edge, and a marker that it touches is left out.
     """
     squares = [part for square in _black_squares(board) for part in _outside(square, board.window_mm)]
-    return np.array([*squares, *_marker_rectangles(board)])
+    # A window may leave nothing: that is (0, 4) too.
+    return np.array([*squares, *_marker_rectangles(board)], dtype=np.float64).reshape(-1, 4)
 
 
 def printed_markers(board: Board) -> dict[int, Rectangle]:
