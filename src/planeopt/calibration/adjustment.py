@@ -29,6 +29,9 @@ from planeopt.rig import Camera, Rig, RigCovariance, SpotDefinition
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+CONVERGED = 0.01
+"""Standard deviations that the least cost may be away."""
+
 _ROUNDS = 5  # of weights that depend on residuals that depend on weights
 _SETTLED = 1e-4  # of a factor of the sigmas
 _MAY_VANISH = ("k1", "k2", "p1", "p2", "k3", "warp_x", "warp_y", "direction_x", "direction_y", "divergence")
@@ -70,6 +73,8 @@ class Adjustment:
         See `planeopt.calibration.arrow.condition`.
     iterations : int
         Steps of the last descent.
+    left : float
+        Standard deviations that the least cost may be away.
     before : Adjustment, optional
         The same with all observations, where some were left out.
     held : Rig, optional
@@ -97,9 +102,15 @@ class Adjustment:
     information: Array
     condition: float
     iterations: int
+    left: float
     before: "Adjustment | None" = None
     held: Rig | None = None
     prior: Prior | None = None
+
+    @property
+    def converged(self) -> bool:
+        """Whether the least cost was reached; if not, the observations contradict each other, or leave a way open."""
+        return self.left < CONVERGED
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -200,7 +211,8 @@ def adjust(
     Raises
     ------
     AdjustmentError
-        If the observations do not determine the free parameters, or contradict each other beyond description.
+        If the observations do not determine the free parameters. Where they contradict each other so much that no least
+        cost is reached, `Adjustment.converged` is false.
     InputError
         If there is no view, or a view has too few corners.
     """
@@ -328,7 +340,8 @@ class _Job:
     def fit(self, state: State, weights: Weights, noise: Noise) -> Adjustment:
         """Least squares with these weights."""
         task, packed, views = self.task, self.task.packed, self.observations.views
-        here, count = descend(task, state, noise.weights(weights))
+        descent = descend(task, state, noise.weights(weights))
+        here = descent.here
         inverse = Inverse.of(here.total)
         square = here.corners.residual**2 * np.repeat(weights.corners, 2, axis=1)
         used = np.asarray(weights.boundary.any(axis=1), dtype=np.bool_)
@@ -356,7 +369,8 @@ class _Job:
             dof_spots=ELLIPSE * np.count_nonzero(used) * task.with_spots - inverse.trace(here.by_boundary),
             information=here.total.reduced(),
             condition=condition(here.total),
-            iterations=count,
+            iterations=descent.steps,
+            left=descent.left,
             held=self.held,
             prior=task.prior,
         )
@@ -367,5 +381,5 @@ def _near(job: _Job, state: State) -> State:
     given = weights_given(job.task.packed)
     for _ in range(2):
         noise = robust_noise(job.task, equations(job.task, state, given)) if job.noise is None else job.noise
-        state = descend(job.task, state, noise.weights(given), huber=True)[0].state
+        state = descend(job.task, state, noise.weights(given), huber=True).here.state
     return state

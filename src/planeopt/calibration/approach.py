@@ -55,7 +55,7 @@ def _climbed(task: Task, state: State) -> State:
     """Return the state near the least of Huber's loss of the corners."""
     given = weights_given(task.packed)
     noise = robust_noise(task, equations(task, state, given))
-    return descend(task, state, noise.weights(given), huber=True)[0].state
+    return descend(task, state, noise.weights(given), huber=True).here.state
 
 
 def _turned(task: Task, state: State) -> State:
@@ -65,7 +65,7 @@ def _turned(task: Task, state: State) -> State:
     weights = robust_noise(task, here).weights(given)
     poses = Task(task.packed, Model(camera=False, warp=False, beam="none"), with_spots=False)
     try:
-        other, _ = descend(poses, other_poses(task.packed, state), weights, huber=True)
+        other = descend(poses, other_poses(task.packed, state), weights, huber=True).here
     except (AdjustmentError, InputError) as error:
         _log.debug("the boards' other poses lead nowhere: %s", error)
         return state

@@ -17,14 +17,12 @@ Array = NDArray[np.float64]
 
 _log = logging.getLogger(__name__)
 
-_STEPS = 200
+_STEPS = 100
 _CONVERGED = 1e-7
 """Of a standard deviation: how long the step that is left may be."""
 _ROUGH = 0.02
 """The same, where only the neighbourhood is wanted."""
 _ROUGH_STEPS = 40
-_STALLED = 1e-3
-"""The same, where no shorter step lowers the cost: rounding, or Huber's corner."""
 _NEAR = 0.3
 """The same, where the way down is nearly straight."""
 _DAMPING = 1e-3, 1e-15, 1e12  # at first, least, most
@@ -166,7 +164,24 @@ def free_values(model: Model, state: State) -> Array:
     return np.array([state.value(name) for name in model.names])
 
 
-def descend(task: Task, state: State, weights: Weights, *, huber: bool = False) -> tuple[Equations, int]:
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """Where a descent ended.
+
+    Parameters
+    ----------
+    here : Equations
+    steps : int
+    left : float
+        Length of the full step that is left, in standard deviations: what the least cost may be away.
+    """
+
+    here: Equations
+    steps: int
+    left: float
+
+
+def descend(task: Task, state: State, weights: Weights, *, huber: bool = False) -> Descent:
     """Go down to the least cost, by Levenberg's and Marquardt's method.
 
     With Huber's loss this only leads into the neighbourhood: to a small part of a standard deviation, or as far as a
@@ -183,15 +198,14 @@ def descend(task: Task, state: State, weights: Weights, *, huber: bool = False) 
 
     Returns
     -------
-    Equations
-        At the least cost.
-    int
-        Number of steps.
+    Descent
+        `left` says how near the least cost is; it stays large where the observations contradict each other so much that
+        there is no least cost nearby, or leave a direction open.
 
     Raises
     ------
     AdjustmentError
-        If the start is no rig, or the least cost is not reached.
+        If the start is no rig.
     """
     try:
         here = equations(task, state, weights, huber=huber)
@@ -200,27 +214,19 @@ def descend(task: Task, state: State, weights: Weights, *, huber: bool = False) 
     damping, least, most = _DAMPING
     left = _left(here)
     steps, close = (_ROUGH_STEPS, _ROUGH) if huber else (_STEPS, _CONVERGED)
-    for count in range(steps):
-        if left < close:
-            _log.debug("converged after %d steps at cost %.6g", count, here.cost)
-            return here, count
+    count = 0
+    while count < steps and left >= close and damping <= most:
+        count += 1
         trial = _try(task, here, damping, weights, huber)
         after = np.inf if trial is None else _left(trial)
         # A spot's distances are to first order in their own length: where they no longer move, their cost still slopes
         # by the second, and the shorter step is the better sign.
         if trial is not None and (trial.cost < here.cost or (left < _NEAR and after < left)):
             here, damping, left = trial, max(damping / 10, least), after
-        elif damping < most:
-            damping *= 10
-        elif left < _STALLED:
-            return here, count
         else:
-            break
-    if huber:
-        return here, steps
-    raise AdjustmentError(
-        "The adjustment does not converge: the observations contradict each other, or do not determine the rig."
-    )
+            damping *= 10
+    _log.debug("%d steps to cost %.6g, %.2g standard deviations left", count, here.cost, left)
+    return Descent(here, count, left)
 
 
 def _left(here: Equations) -> float:

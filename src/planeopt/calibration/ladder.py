@@ -17,6 +17,8 @@ from planeopt.board import Observations
 from planeopt.calibration.adjustment import Adjustment, adjust, refit
 from planeopt.calibration.equations import AdjustmentError, Prior
 from planeopt.calibration.model import RUNGS, Model, Rung
+from planeopt.calibration.packed import Packed
+from planeopt.calibration.start import start_camera
 from planeopt.rig import Camera
 
 _log = logging.getLogger(__name__)
@@ -26,6 +28,10 @@ LEVEL = 0.01
 
 _LENS = 0.02
 """How far lenses are taken to distort at the image's corner, by each term, as a share of the radius: one sigma."""
+_FOCAL = 0.5
+"""How well a focal length is taken to be known before anything is seen, as a share of it: one sigma."""
+_OFF_CENTRE = 0.1
+"""How far the principal point is taken to lie off the image's middle, as a share of the diagonal: one sigma."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +103,7 @@ _RUNG_WORDS: dict[Rung, str] = {
 def climb(observations: Observations, model: Model, rung: Rung | None) -> tuple[Adjustment, tuple[Tested, ...]]:
     """Adjust on a rung of the ladder of distortions, and test each rung against the one below.
 
-    Where no rung is asked for, all terms are free, with a prior that keeps them to what lenses do (`lens_prior`): a
+    Where no rung is asked for, all terms are free, with a prior that keeps them to what lenses do (`camera_prior`): a
     term that is left out because its test sees nothing stays wrong by up to two of its standard deviations or more, and
     what is correlated with it (the principal point with p1 and p2, k2 with k3) by as many of its own, while the
     intervals become shorter than that. Where the observations tell a term, the prior says nothing beside them; where
@@ -123,8 +129,7 @@ def climb(observations: Observations, model: Model, rung: Rung | None) -> tuple[
     AdjustmentError
         If the observations do not determine the rung.
     """
-    low = adjust(observations, replace(model, distortion="k1", beam="none"))
-    prior = lens_prior(low.camera)
+    prior = camera_prior(start_camera(Packed.of(observations)).camera)
     top = adjust(observations, replace(model, distortion=RUNGS[-1]), prior=prior)
     fits = {name: refit(top, replace(model, distortion=name)) for name in RUNGS[:-1]} | {RUNGS[-1]: top}
     chosen = RUNGS[-1] if rung is None else rung
@@ -143,18 +148,28 @@ def climb(observations: Observations, model: Model, rung: Rung | None) -> tuple[
     return adjust(observations, replace(model, distortion=rung), start=fits[rung].state), tests
 
 
-def lens_prior(camera: Camera) -> Prior:
-    """Return how far lenses distort: each term moves the image's corner by 2 % of its radius, as one sigma.
+def camera_prior(camera: Camera) -> Prior:
+    """Return what all cameras have in common, far less exactly than any session that is worth its name tells it.
 
-    In the coefficients' own units that depends on the angle of view alone: 0.02 / r^2 for k1, 0.02 / r^4 for k2, with r
-    the normalised radius of the corner. A distortion far beyond that is seen so well that the prior does not count.
+    Each term of distortion moves the image's corner by 2 % of its radius, as one sigma: 0.02 / r^2 for k1, 0.02 / r^4
+    for k2, with r the normalised radius of the corner. The principal point is in the image's middle, give or take a
+    tenth of the diagonal, and the focal length is known to half of itself: where views are all frontal it is not told,
+    and would drift without end. A lens beyond that is seen so well that the prior does not count.
+
+    Parameters
+    ----------
+    camera : Camera
+        Near the true one.
     """
     width, height = camera.image_size
     radius = float(np.hypot(width / camera.fx, height / camera.fy)) / 2
-    names = ("k1", "k2", "p1", "p2", "k3")
+    middle = _OFF_CENTRE * float(np.hypot(width, height))
     # A tangential term moves the corner by up to 3 p r^2.
-    sigmas = _LENS / np.array([radius**2, radius**4, 3 * radius, 3 * radius, radius**6])
-    return Prior(names, np.zeros(5), np.diag(sigmas**-2))
+    lens = _LENS / np.array([radius**2, radius**4, 3 * radius, 3 * radius, radius**6])
+    focal = np.array([camera.fx, camera.fx, camera.fy])
+    values = np.array([*focal, (width - 1) / 2, (height - 1) / 2, *np.zeros(5)])
+    sigmas = np.array([*(_FOCAL * focal), middle, middle, *lens])
+    return Prior(("f", "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"), values, np.diag(sigmas**-2))
 
 
 TERMS = ("warp", "aspect", "parallel", "divergence")
