@@ -63,31 +63,64 @@ class NullDirection:
 
     Attributes
     ----------
+    names : tuple of str
+        The parameters that were looked at.
+    condition : float
+        Condition number of their Jacobian: its columns scaled to unit length, then the poses eliminated.
     words : str
         What stands against what, as in "the beam's direction against its offset".
     cure : str
         What to shoot against it.
-    vector : (g,) array
-        The mix, in units of the parameters' columns: how far each moves if all move the image alike; of unit length.
+    vector : (n,) array
+        The mix, of unit length: how far each moves, in units in which all move the image alike.
     """
 
+    names: tuple[str, ...]
+    condition: float
     words: str
     cure: str
     vector: Array
 
 
 def null_direction(adjustment: Adjustment) -> NullDirection:
-    """Return the mix of parameters that an adjustment determines worst.
+    """Return the worse of the camera's and the beam's null direction.
 
-    The eigenvector of the least eigenvalue of the information that `Adjustment.condition` is the condition of: the
-    columns of what is shared scaled to unit length, the poses eliminated. What the poses can imitate stands alone in
-    it: the focal length alone means that it is told from the distance of the board worst of all.
+    What the poses can imitate stands alone in it: the focal length alone means that it can hardly be told from the
+    distance of the board.
+    """
+    return max(null_directions(adjustment), key=lambda found: found.condition)
+
+
+def null_directions(adjustment: Adjustment) -> tuple[NullDirection, ...]:
+    """Return the mixes of the camera's and of the beam's parameters that an adjustment determines worst.
+
+    The two are looked at apart: the camera whatever the beam, and the beam seen by this camera. Together they always
+    have one mix that is poorly determined, the principal point against the beam's direction, which turns rays and beam
+    together and costs a plane next to nothing (`planeopt.calibration.pose_cost`).
     """
     _, _, here = linearised(adjustment)
-    scale = 1 / np.sqrt(np.diagonal(here.total.V))
-    _, vectors = np.linalg.eigh(scale[:, None] * adjustment.information * scale)
+    beam = np.array([name.startswith(("e_", "radius", "d")) for name in adjustment.names], dtype=np.bool_)
+    lengths = np.diagonal(here.total.V)
+    scale = 1 / np.sqrt(np.where(lengths > 0, lengths, 1.0))
+    scaled = scale[:, None] * adjustment.information * scale
+    found = []
+    if not np.all(beam):
+        camera = scaled[np.ix_(~beam, ~beam)]
+        if np.any(beam):
+            between = scaled[np.ix_(beam, ~beam)]
+            camera = camera - between.T @ np.linalg.pinv(scaled[np.ix_(beam, beam)], hermitian=True) @ between
+        found.append(_worst(adjustment, ~beam, camera))
+    if np.any(beam):
+        found.append(_worst(adjustment, beam, scaled[np.ix_(beam, beam)]))
+    return tuple(found)
+
+
+def _worst(adjustment: Adjustment, rows: NDArray[np.bool_], information: Array) -> NullDirection:
+    values, vectors = np.linalg.eigh((information + information.T) / 2)
+    names = tuple(name for name, taken in zip(adjustment.names, rows, strict=True) if taken)
     vector = vectors[:, 0] * np.sign(vectors[np.argmax(np.abs(vectors[:, 0])), 0])
-    return NullDirection(*in_words(adjustment.names, vector), vector)
+    condition = float(np.sqrt(values[-1] / values[0])) if values[0] > 0 else float("inf")
+    return NullDirection(names, condition, *in_words(names, vector), vector)
 
 
 def in_words(names: tuple[str, ...], vector: Array) -> tuple[str, str]:

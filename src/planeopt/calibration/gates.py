@@ -1,0 +1,157 @@
+"""Whether a calibration can be trusted: every condition of a good session, causes before what they cause."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from planeopt.board import Observations
+from planeopt.calibration import gates_fit, gates_poses, gates_seen
+from planeopt.calibration.adjustment import Adjustment, adjust
+from planeopt.calibration.equations import AdjustmentError
+from planeopt.calibration.gate import Gate, at_most
+from planeopt.calibration.gates_seen import Image
+from planeopt.calibration.ladder import Tested
+from planeopt.calibration.model import Model
+from planeopt.calibration.null_direction import NullDirection, null_directions
+from planeopt.calibration.start import LEAST_CORNERS
+from planeopt.errors import InputError
+from planeopt.rig import Camera, Rig, RigCovariance
+
+_log = logging.getLogger(__name__)
+
+CAMERA_CONDITION = 2000.0, 1e4
+"""Good sessions have 70 to 500, more the longer the lens; see `tests/test_calibration_gates_limits.py`."""
+BEAM_CONDITION = 50.0, 1e3
+"""About twice the distance over its spread: good sessions have 9 to 16, one depth 100 to 250."""
+
+_LOOSE = 0.5, 0.1
+"""Of a camera that is only to tell the tilts: sigma of f over f, of cx and cy over the image's width."""
+
+
+def judge(
+    adjustment: Adjustment,
+    images: Sequence[Image] = (),
+    *,
+    tests: Mapping[str, Tested] | None = None,
+    expect: Mapping[str, tuple[float, float]] | None = None,
+) -> tuple[Gate, ...]:
+    """Judge a calibration.
+
+    Parameters
+    ----------
+    adjustment : Adjustment
+    images : sequence of ImageStatus
+        What became of each image of the session.
+    tests : mapping of str to Tested
+        Of `compare_terms`; "warp" is used.
+    expect : mapping of str to (float, float)
+        What is known otherwise, with its tolerance: `radius_mm`, `f_mm` and so on.
+
+    Returns
+    -------
+    tuple of Gate
+        Causes before what they cause; `planeopt.calibration.gate.verdict` sums them up.
+
+    Raises
+    ------
+    InputError
+        If `expect` names what is not there.
+    """
+    observations, state = adjustment.observations, adjustment.state
+    tests, expect = tests or {}, expect or {}
+    lit = adjustment.spot_used
+    return _present(
+        *_seen(observations, images, lit.tolist()),
+        *gates_poses.tilt_gates(state),
+        _camera_gate(adjustment),
+        gates_poses.spot_depth_gate(state, lit) if adjustment.model.beam == "free" else None,
+        gates_poses.board_depth_gate(observations, state),
+        *gates_fit.size_gates(adjustment, expect),
+        gates_fit.view_gate(adjustment),
+        gates_fit.bow_gate(adjustment, tests),
+        gates_fit.residual_gate(adjustment),
+        gates_fit.spot_fit_gate(adjustment),
+        gates_fit.outlier_gate(adjustment),
+        *(_condition_gate(found) for found in null_directions(adjustment)),
+        gates_fit.focal_gate(adjustment),
+    )
+
+
+def judge_unadjusted(
+    observations: Observations, images: Sequence[Image] = (), *, reason: str = "The adjustment failed."
+) -> tuple[Gate, ...]:
+    """Judge a session that gave no calibration: what was seen, and the tilts, which a loosely known camera tells.
+
+    Parameters
+    ----------
+    observations : Observations
+    images : sequence of ImageStatus
+    reason : str
+        Why there is no calibration; of the last gate, which refuses.
+    """
+    observations = replace(observations, views=tuple(view for view in observations.views if len(view) >= LEAST_CORNERS))
+    loose = _loosely_adjusted(observations)
+    tilts = () if loose is None else gates_poses.tilt_gates(loose.state)
+    camera = None if loose is None else _camera_gate(loose)
+    sentence = f"{reason.rstrip('.')}."
+    return _present(
+        *_seen(observations, images, None),
+        *tilts,
+        camera,
+        Gate("adjustment", "refuse", None, (None, None), sentence[0].upper() + sentence[1:], symptom=True),
+    )
+
+
+def _seen(observations: Observations, images: Sequence[Image], used: Sequence[bool] | None) -> tuple[Gate | None, ...]:
+    return (
+        gates_seen.image_gate(images),
+        gates_seen.mirror_gate(observations),
+        gates_seen.view_gate(observations),
+        gates_seen.spot_gate(observations, used),
+        *gates_seen.coverage_gates(observations),
+    )
+
+
+def _camera_gate(adjustment: Adjustment) -> Gate | None:
+    """Judge whether there is one camera, where the tilts tell a camera at all."""
+    frontal = gates_poses.tilts(adjustment.state).max() < gates_poses.FRONTAL
+    return None if frontal else gates_fit.camera_gate(adjustment)
+
+
+def _loosely_adjusted(observations: Observations) -> Adjustment | None:
+    """Return poses under a camera that is held near an ordinary one."""
+    if not observations.views:
+        return None
+    width, height = observations.image_size
+    f = 1.5 * max(width, height)
+    middle = (width - 1) / 2, (height - 1) / 2
+    spread = np.array([_LOOSE[0] * f, _LOOSE[1] * width, _LOOSE[1] * width])
+    prior = Rig(
+        Camera(observations.image_size, f, f, *middle, (0.0, 0.0, 0.0, 0.0, 0.0)),
+        covariance=RigCovariance(("f", "cx", "cy"), np.diag(spread**2)),
+    )
+    try:
+        return adjust(replace(observations, spot="none"), Model(distortion="k1", warp=False, beam="none"), prior=prior)
+    except (AdjustmentError, InputError) as error:
+        _log.debug("no poses either with a camera that is known loosely: %s", error)
+        return None
+
+
+def _condition_gate(found: NullDirection) -> Gate:
+    of_camera = "cx" in found.names
+    limits = CAMERA_CONDITION if of_camera else BEAM_CONDITION
+    what = "camera" if of_camera else "beam"
+    state = at_most(found.condition, *limits)
+    told = f"The {what}'s parameters are told apart with a condition number of {found.condition:.0f}"
+    if state == "ok":
+        sentence = f"{told} (up to {limits[0]:g} is good); told worst is {found.words}."
+    else:
+        sentence = f"{told}, up to {limits[0]:g} is good: what is not told is {found.words}. Shoot more: {found.cure}."
+    value = found.condition if np.isfinite(found.condition) else None
+    return Gate(f"{what} conditioning", state, value, limits, sentence, symptom=True)
+
+
+def _present(*gates: Gate | None) -> tuple[Gate, ...]:
+    return tuple(gate for gate in gates if gate is not None)
