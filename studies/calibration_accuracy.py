@@ -1,0 +1,106 @@
+"""What a calibration's accuracy depends on: the number of views, their tilts, their depths."""
+
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+
+from planeopt.calibration.equations import AdjustmentError
+from planeopt.calibration.pose_cost import pose_cost
+from planeopt.errors import InputError
+from planeopt.executors import ordered_map
+from planeopt.simulation import Shooting, random_session
+from studies.calibration_fits import NAN, fit_default, truth_of
+
+VIEWS = (3, 4, 6, 8, 10, 15, 20, 30, 40)
+TILTS_DEG = (4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 40.0)
+RATIOS = (1.02, 1.1, 1.25, 1.5, 2.0, 2.5)
+CORNER_PX, SPOT_PX = 0.2, 0.1
+_VIEWS, _TILT_DEG, _RATIO = 15, 40.0, 2.0
+_SIZE = (1280, 960)
+_PLANE_TILT = np.radians(30.0)
+
+
+@dataclass(frozen=True)
+class AccuracyRow:
+    """One session.
+
+    Attributes
+    ----------
+    varied : str
+        "views", "tilt" or "depths".
+    value : float
+        Views; largest tilt, degrees; farthest depth over nearest.
+    seed : int
+    outcome : str
+    f_relative, f_error : float
+        Standard deviation of f and its error, over f.
+    offset_mm, radius_mm, direction_mrad : float
+        Standard deviations: of (e_x, e_y) and of the direction, root of the sum of squares, and of the radius.
+    z_L_relative, normal_deg : float
+        What the calibration alone costs a plane tilted by 30 degrees at the working distance.
+    """
+
+    varied: str
+    value: float
+    seed: int
+    outcome: str
+    f_relative: float
+    f_error: float
+    offset_mm: float
+    radius_mm: float
+    direction_mrad: float
+    z_L_relative: float
+    normal_deg: float
+
+
+@dataclass(frozen=True)
+class _Job:
+    varied: str
+    value: float
+    seed: int
+
+    @property
+    def shooting(self) -> Shooting:
+        views = int(self.value) if self.varied == "views" else _VIEWS
+        tilt = self.value if self.varied == "tilt" else _TILT_DEG
+        return Shooting(views, (0.0, tilt), self.value if self.varied == "depths" else _RATIO)
+
+
+def run_accuracy(seeds: int, executor: Executor | None, *, every: int = 1) -> list[AccuracyRow]:
+    """Calibrate so many sessions of each kind; of the kinds only every so many-th."""
+    kinds = [("views", float(count)) for count in VIEWS[::every]]
+    kinds += [("tilt", tilt) for tilt in TILTS_DEG[::every]] + [("depths", ratio) for ratio in RATIOS[::every]]
+    jobs = [_Job(varied, value, seed) for varied, value in kinds for seed in range(seeds)]
+    return list(ordered_map(_measured, jobs, executor))
+
+
+def _measured(job: _Job) -> AccuracyRow:
+    session = random_session(
+        700 + job.seed,
+        shooting=job.shooting,
+        image_size=_SIZE,
+        corner_sigma=CORNER_PX,
+        spot_sigma=SPOT_PX,
+    )
+    try:
+        fit = fit_default(session.observations)
+        depth = float(np.median(session.poses.translations[:, 2]))
+        (cost,) = pose_cost(fit.rig, np.array([[depth, _PLANE_TILT, 0.5]]))
+    except (AdjustmentError, InputError) as error:
+        return AccuracyRow(job.varied, job.value, job.seed, " ".join(str(error).split()), *[NAN] * 7)
+    f = fit.value("f")
+    offset, direction = (np.hypot(fit.sigma(f"{a}_x"), fit.sigma(f"{a}_y")) for a in ("e", "direction"))
+    return AccuracyRow(
+        job.varied,
+        job.value,
+        job.seed,
+        "calibrated",
+        fit.sigma("f") / f,
+        (f - truth_of(session)["f"]) / f,
+        float(offset),
+        fit.sigma("radius"),
+        float(1e3 * direction),
+        cost.sigma_z_L / depth,
+        float(np.degrees(cost.sigma_normal)),
+    )
