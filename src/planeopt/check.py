@@ -71,21 +71,16 @@ class ChangeRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         return cls(name=change.name, unit=change.unit, value=change.value, sigma=change.sigma)
 
 
-class CheckRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What `planeopt check` found; `untested` is what no image can test."""
+class Verdict(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What every check of a rig says; `untested` is what was not tested."""
 
     rig: str
     status: CheckStatus
     message: str
     untested: str
     chi2: float | None
-    dof: int | None
+    dof: float | None
     p_value: float | None
-    tests: tuple[PartRecord, ...]
-    shift: tuple[ChangeRecord, ...]
-    trend: tuple[ChangeRecord, ...]
-    worst: tuple[str, ...]
-    images: tuple[ImageRecord, ...]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record as plain JSON values, in the order of the keys."""
@@ -94,6 +89,16 @@ class CheckRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     def to_json(self) -> str:
         """Return the record in ASCII, with its line's end."""
         return f"{json.dumps(self.to_dict(), allow_nan=False, indent=2)}\n"
+
+
+class CheckRecord(Verdict, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What `planeopt check` found in images of planes."""
+
+    tests: tuple[PartRecord, ...]
+    shift: tuple[ChangeRecord, ...]
+    trend: tuple[ChangeRecord, ...]
+    worst: tuple[str, ...]
+    images: tuple[ImageRecord, ...]
 
 
 @dataclass(frozen=True, eq=False)

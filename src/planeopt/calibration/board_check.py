@@ -9,7 +9,7 @@ brought in with its joint covariance (`planeopt.calibration.rig_evidence`). Four
 - the *spots*: what of their ellipses no change of the rig explains;
 - shift and spots *pooled*.
 
-How noisy a corner is, is told from the same views: their residuals have hundreds of degrees of freedom. No record of the
+How noisy a corner is, is told from the same views, whose residuals have many degrees of freedom. No record of the
 calibration's own noise is needed, and so none is tested. The board may be bowed by `bow_mm`; its squares are taken as
 stated.
 """
@@ -26,11 +26,12 @@ from planeopt.board import Observations, View
 from planeopt.calibration.adjustment import Adjustment, adjust
 from planeopt.calibration.approach import approach
 from planeopt.calibration.board_basis import Basis, basis_of, changes_worth_finding, hardly_known
+from planeopt.calibration.board_causes import GROUPS, Moved, causes_of, groups_alone, instead_of, p_value_of, unit_of
 from planeopt.calibration.equations import AdjustmentError, Equations, Task, Weights, equations, free_values
 from planeopt.calibration.model import Model
 from planeopt.calibration.noise import ELLIPSE
 from planeopt.calibration.per_view import PerView, eliminated, joined, task_of, weights_of
-from planeopt.calibration.rig_evidence import Explained, Extra, RigEvidence, found_from
+from planeopt.calibration.rig_evidence import Extra, RigEvidence, found_from
 from planeopt.calibration.spot_evidence import spots_against
 from planeopt.calibration.state import State
 from planeopt.errors import InputError
@@ -73,21 +74,11 @@ TEST_LEVEL = LEVEL / len(BoardPart)
 POWER = 0.9
 """Probability with which the changes are found that are said to be found."""
 
-GROUPS = {
-    "the focal length": ("f", "fx", "fy"),
-    "the principal point": ("cx", "cy"),
-    "the lens's distortion": ("k1", "k2", "p1", "p2", "k3"),
-    "the beam's offset": ("e_x", "e_y"),
-    "the beam's radius": ("radius",),
-    "the beam's direction": ("direction_x", "direction_y"),
-    "the board's bow": ("warp_x", "warp_y"),
-}
-"""What may have moved, each a cause of its own."""
-
-_MOST_CAUSES = 3
 _ROUNDS = 3
 _STEPS = 10
 _HALVINGS = 6
+# No detector is as bad: beyond, the corners are not this board's, and a rig would pass for the noise.
+_SCATTER_PX = 1.0
 # Of chi-squared: what a further step may still gain.
 _NEAR = 1e-4
 
@@ -104,28 +95,6 @@ class BoardTest:
     @property
     def ok(self) -> bool:
         return self.p_value >= TEST_LEVEL
-
-
-@dataclass(frozen=True)
-class Moved:
-    """A group of parameters that a change alone of which explains what is wrong, or the most of it.
-
-    Attributes
-    ----------
-    group : str
-    chi2, dof : float, int
-        What it explains.
-    p_value : float
-        How often a right rig pulls this group as hard.
-    changes : tuple of (name, unit, value, sigma)
-        The change, were it the only one.
-    """
-
-    group: str
-    chi2: float
-    dof: int
-    p_value: float
-    changes: tuple[tuple[str, str, float, float], ...]
 
 
 @dataclass(frozen=True)
@@ -181,9 +150,11 @@ class BoardCheck:
     tests : tuple of BoardTest
         Those that the views allow.
     causes : tuple of Moved
-        Where the shift fails: the fewest groups that explain it, each with what it alone explains; all groups are in
-        `groups`.
+        Where the shift fails: the fewest groups whose change explains it, each with what it adds to the others.
+    instead : tuple of str
+        Groups of which a change explains it as well as that of the one cause that is named.
     groups : tuple of Moved
+        Each as if it alone had moved.
     changes : tuple of BoardChange
     views : tuple of ViewTest
     updated : Rig or None
@@ -199,6 +170,7 @@ class BoardCheck:
     verdict: str
     tests: tuple[BoardTest, ...] = ()
     causes: tuple[Moved, ...] = ()
+    instead: tuple[str, ...] = ()
     groups: tuple[Moved, ...] = ()
     changes: tuple[BoardChange, ...] = ()
     views: tuple[ViewTest, ...] = ()
@@ -246,6 +218,11 @@ def check_board(observations: Observations, rig: Rig, *, bow_mm: float = BOW_MM)
         fit = adjust(observations, model, prior=hardly_known(rig, model, reach), held=rig)
     except (AdjustmentError, InputError) as reason:
         return _untested(str(reason))
+    if fit.corner_sigma > _SCATTER_PX:
+        return _untested(
+            f"the corners scatter by {fit.corner_sigma:.2g} px about any board that the views allow: these are not "
+            "views of this board, or it is not flat"
+        )
     return _judged(fit, rig, basis_of(rig, model, reach, bow_mm))
 
 
@@ -312,14 +289,15 @@ def _judged(fit: Adjustment, rig: Rig, basis: Basis) -> BoardCheck:
     causes: tuple[Moved, ...] = ()
     if any(test.part is BoardPart.SHIFT and not test.ok for test in tests):
         evidence, causes = _measured(task, weights, linear, basis, noise)
-    changes = _changes(evidence, basis)
+    groups, changes = groups_alone(evidence, basis, noise), _changes(evidence, basis)
     state = BoardState.OK if all(test.ok for test in tests) else BoardState.DEGRADED
     result = BoardCheck(
         state,
         "",
         tests,
         causes,
-        _groups(evidence, basis, noise),
+        instead_of(evidence, causes, groups, noise),
+        groups,
         changes,
         views,
         _updated(rig, evidence, basis),
@@ -335,12 +313,12 @@ def _measured(
 ) -> tuple[RigEvidence, tuple[Moved, ...]]:
     """Find what moved, and again from where that puts the rig, until it is the same."""
     evidence = _of(linear.each, linear.moved, basis)[0]
-    causes = _causes(evidence, basis, noise)
+    causes = causes_of(evidence, basis, noise)
     for _ in range(_ROUNDS):
         loose = [name for cause in causes for name in GROUPS[cause.group]]
         linear = _linear(task, weights, linear.here.state, basis, loose)
         evidence = _of(linear.each, linear.moved, basis)[0]
-        again = _causes(evidence, basis, noise)
+        again = causes_of(evidence, basis, noise)
         same = {cause.group for cause in again} == {cause.group for cause in causes}
         causes = again
         if same:
@@ -355,11 +333,6 @@ def _of(each: PerView, moved: Array, basis: Basis) -> tuple[RigEvidence, Extra]:
     return basis.evidence(information, pull), basis.beyond(information, pull)
 
 
-def _p_value(chi2: float, dof: float, dof_noise: float) -> float:
-    """Of chi-squared over a noise that was estimated: F; a little too large where the calibration's share is large."""
-    return float(scipy.stats.f.sf(chi2 / dof, dof, max(dof_noise, 1.0)))
-
-
 def _tests(evidence: RigEvidence, extra: Extra, fit: Adjustment) -> tuple[BoardTest, ...]:
     shift, dof = evidence.test()
     rest, dof_rest = evidence.beyond(extra) if len(extra.pull) else (0.0, 0)
@@ -367,77 +340,17 @@ def _tests(evidence: RigEvidence, extra: Extra, fit: Adjustment) -> tuple[BoardT
     made = [
         (BoardPart.SHIFT, shift, float(dof), True),
         (BoardPart.REST, rest, float(dof_rest), True),
-        (BoardPart.SPOTS, spots, dof_spots, False),
+        (BoardPart.SPOTS, float(spots), float(dof_spots), False),
     ]
     if dof_spots >= 1 and dof > 0:
-        made.insert(0, (BoardPart.POOLED, shift + spots, dof + dof_spots, True))
+        made.insert(0, (BoardPart.POOLED, shift + float(spots), dof + float(dof_spots), True))
     return tuple(
-        BoardTest(part, chi2, n, _p_value(chi2, n, fit.dof_corners) if scaled else float(scipy.stats.chi2.sf(chi2, n)))
+        BoardTest(
+            part, chi2, n, p_value_of(chi2, n, fit.dof_corners) if scaled else float(scipy.stats.chi2.sf(chi2, n))
+        )
         for part, chi2, n, scaled in made
         if n >= 1
     )
-
-
-def _groups(evidence: RigEvidence, basis: Basis, dof_noise: float) -> tuple[Moved, ...]:
-    """Each group as if it alone had moved."""
-    found = []
-    for group, members in GROUPS.items():
-        rows = _rows_of(basis, members)
-        if rows:
-            found.append(_moved(group, rows, rows, evidence.explained_by(rows), evidence, basis, dof_noise))
-    return tuple(found)
-
-
-def _moved(
-    group: str,
-    rows: Sequence[int],
-    together: Sequence[int],
-    explained: Explained,
-    evidence: RigEvidence,
-    basis: Basis,
-    dof_noise: float,
-) -> Moved:
-    """One group of those whose change together explains something: what it adds to the others."""
-    others = [row for row in together if row not in rows]
-    without = evidence.explained_by(others) if others else None
-    chi2 = explained.chi2 - (0.0 if without is None else without.chi2)
-    dof = explained.dof - (0 if without is None else without.dof)
-    places = [list(together).index(row) for row in rows]
-    changes = tuple(
-        (basis.names[row], unit_of(basis.names[row]), float(explained.change[at]), float(explained.sigma[at]))
-        for row, at in zip(rows, places, strict=True)
-    )
-    p_value = _p_value(max(chi2, 0.0), dof, dof_noise) if dof > 0 else 1.0
-    return Moved(group, max(chi2, 0.0), dof, p_value, changes)
-
-
-def _causes(evidence: RigEvidence, basis: Basis, dof_noise: float) -> tuple[Moved, ...]:
-    """Return the fewest groups, three at most, whose change leaves what chance explains; each beside the others."""
-    total, dof = evidence.test()
-    left = {group: rows for group, members in GROUPS.items() if (rows := _rows_of(basis, members))}
-    chosen: dict[str, list[int]] = {}
-    for _ in range(min(_MOST_CAUSES, len(left))):
-        best: tuple[float, float, str] | None = None
-        for group, rows in left.items():
-            explained = evidence.explained_by([row for known in (*chosen.values(), rows) for row in known])
-            remains = max(total - explained.chi2, 0.0)
-            # Where all leave what is impossible, probabilities are out of range: chi-squared decides.
-            rank = _p_value(remains, max(dof - explained.dof, 1), dof_noise), -remains, group
-            best = rank if best is None or rank > best else best
-        if best is None:
-            break
-        chosen[best[2]] = left.pop(best[2])
-        if best[0] >= LEVEL:
-            break
-    everything = [row for rows in chosen.values() for row in rows]
-    explained = evidence.explained_by(everything)
-    return tuple(
-        _moved(group, rows, everything, explained, evidence, basis, dof_noise) for group, rows in chosen.items()
-    )
-
-
-def _rows_of(basis: Basis, members: Sequence[str]) -> list[int]:
-    return [row for row, name in enumerate(basis.names) if name in members]
 
 
 _UNDERFLOW = 1e-300
@@ -481,7 +394,7 @@ def _view(row: int, fit: Adjustment, linear: _Linear, basis: Basis, spot: float)
         float(np.sqrt(np.mean(residual**2))) if len(residual) else 0.0,
         chi2 if dof else None,
         dof,
-        _p_value(chi2, dof, fit.dof_corners) if dof else None,
+        p_value_of(chi2, dof, fit.dof_corners) if dof else None,
         float(spot) if has_spot else None,
         float(scipy.stats.chi2.sf(spot, ELLIPSE)) if has_spot else None,
     )
@@ -507,11 +420,11 @@ def _untested_words(changes: Sequence[BoardChange], basis: Basis, fit: Adjustmen
 
 def _verdict(result: BoardCheck, rig: Rig) -> str:
     words = [f"{result.state.name}: {result.state.value}"]
-    for test in result.tests:
-        if not test.ok:
-            words.append(f"{test.part.value.removesuffix('.')} ({_numbers(test)}).")
+    words += [f"{test.part.value.removesuffix('.')} ({_numbers(test)})." for test in result.tests if not test.ok]
     if result.causes:
         words.append(f"What explains it: {'; '.join(map(_cause, result.causes))}.")
+    if result.instead:
+        words.append(f"As well could it be {' or '.join(result.instead)}.")
     if result.ok:
         words.append(" ".join(f"{test.part.name.capitalize()}: {_numbers(test)}." for test in result.tests[:1]))
     if not result.ok and rig.covariance is None:
@@ -529,16 +442,4 @@ def _cause(moved: Moved) -> str:
         f"{name} by {value:+.3g} +- {sigma:.2g}{'' if unit == '1' else ' ' + unit}"
         for name, unit, value, sigma in moved.changes
     )
-    return f"{moved.group} ({listed}; {abs_sigmas(moved):.1f} sigma)"
-
-
-def abs_sigmas(moved: Moved) -> float:
-    """Return the length of a change in its own standard deviations."""
-    return float(np.sqrt(moved.chi2))
-
-
-def unit_of(name: str) -> str:
-    """Return the unit of a parameter: px, mm or 1."""
-    if name in ("f", "fx", "fy", "cx", "cy"):
-        return "px"
-    return "mm" if name in ("warp_x", "warp_y", "e_x", "e_y", "radius") else "1"
+    return f"{moved.group} ({listed}; {np.sqrt(moved.chi2):.1f} sigma)"

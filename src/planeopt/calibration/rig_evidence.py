@@ -18,9 +18,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_SEEN = 1e-10
-"""Eigenvalues of the information over the calibration's, below this share of the largest, are rounding."""
-
 
 @dataclass(frozen=True)
 class Explained:
@@ -61,7 +58,7 @@ class RigEvidence:
         share, turn = np.linalg.eigh((inside + inside.T) / 2)
         share = np.maximum(share, 0.0)
         directions = factor @ turn
-        return directions, np.where(share > _SEEN * share[-1], share, 0.0), directions.T @ self.pull
+        return directions, share, directions.T @ self.pull
 
     @cached_property
     def seen(self) -> NDArray[np.bool_]:
@@ -89,11 +86,6 @@ class RigEvidence:
         return (directions * (share / (1 + share))) @ directions.T
 
     @cached_property
-    def score(self) -> Array:
-        """B (n,)."""
-        return np.linalg.solve(self.sigma, self.update)
-
-    @cached_property
     def metric(self) -> Array:
         """M (n, n), in the directions that can be seen."""
         directions, share, _ = self._white
@@ -111,7 +103,7 @@ class RigEvidence:
         """Return what a change of some parameters alone explains."""
         chosen = list(rows)
         directions, share, pull = self._white
-        back = np.linalg.solve(self.sigma, directions)[np.ix_(chosen, np.flatnonzero(self.seen))]
+        back = np.linalg.solve(self.sigma, directions)[chosen][:, self.seen]
         score = back @ (pull / (1 + share))[self.seen]
         metric = self.metric[np.ix_(chosen, chosen)]
         size = np.sqrt(np.maximum(np.diagonal(metric), np.finfo(np.float64).tiny))
@@ -153,7 +145,7 @@ def found_from(evidence: RigEvidence, level: float, power: float) -> Array:
 
 def noncentrality(dof: int, level: float, power: float) -> float:
     """Return by how much chi-squared must be raised for a test at a level to fail with a probability."""
-    limit = scipy.stats.chi2.isf(level, dof)
+    limit = float(scipy.stats.chi2.isf(level, dof))
     low, high = 0.0, 10.0 * (limit + 10.0)
     for _ in range(80):
         middle = (low + high) / 2

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
-from cyclopts.types import PositiveInt
+from cyclopts.types import PositiveFloat, PositiveInt
 
+from planeopt.cli.check_board import SpotChoice, check_board, is_session
 from planeopt.cli.files import may_write
 from planeopt.cli.messages import exit_status, report, tables
 from planeopt.cli.rigs import load_measuring_rig
@@ -27,6 +28,9 @@ def check(
     *inputs: Annotated[str, Parameter(required=True)],
     rig: Path,
     output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    board: Path | None = None,
+    spot: SpotChoice | None = None,
+    bow_mm: PositiveFloat = 0.2,
     times: Path | None = None,
     dark: Path | None = None,
     jobs: PositiveInt = 1,
@@ -34,17 +38,24 @@ def check(
 ) -> int:
     """Test whether the rig is still as calibrated, with images of the spot on any planes: OK or DEGRADED, and why.
 
-    Each image leaves two numbers that no plane explains; more images at different distances test more.
+    Each image leaves two numbers that no plane explains; more images at different distances test more. With images of a
+    board (--board, or a session) the lens, the radius and the scale are tested too.
     Exit status: 0 OK; 2 DEGRADED, or an image is refused; 1 some input cannot be used.
 
     Parameters
     ----------
     inputs
-        Images, or .csv files of boundary points (x_px,y_px[,sigma_px]).
+        Images, or .csv files of boundary points (x_px,y_px[,sigma_px]); or a session (a folder with session.toml).
     rig
         The rig file (rig.toml), with its covariance if it has one.
     output
         File for the record (JSON).
+    board
+        The board file (board.toml), where the images are of a board.
+    spot
+        What the laser draws on the board, where that differs from the rig's: disc, ring or none.
+    bow_mm
+        How far the board's middle may lie off its edges: standard deviation.
     times
         A table image,time_s (.csv): against what a trend is sought. Unless given, the numbers in the images' names, or
         their order.
@@ -60,12 +71,25 @@ def check(
     from planeopt.check import measure_for_check
     from planeopt.estimation.sequence import Positions
     from planeopt.executors import processes
+    from planeopt.rig import load_rig
     from planeopt.spot import read_image
     from planeopt.whole_files import write_text
 
-    loaded = load_measuring_rig(rig)
+    of_board = board is not None or is_session(inputs)
+    loaded = load_rig(rig) if of_board else load_measuring_rig(rig)
     if output is not None:
-        may_write(output, [*inputs, *(file for file in (rig, times, dark) if file is not None)], force=force)
+        may_write(output, [*inputs, *(file for file in (rig, board, times, dark) if file is not None)], force=force)
+    if of_board:
+        if times is not None:
+            raise InputError("--times goes with images of planes: views of a board are tested for no trend")
+        found, status = check_board(
+            inputs, loaded, str(rig), board=board, spot=spot, bow_mm=bow_mm, dark=dark, jobs=jobs
+        )
+        if output is not None:
+            write_text(output, found.to_json())
+        return status
+    if spot is not None:
+        raise InputError("--spot goes with images of a board: give --board board.toml")
     positions = Positions.of_names(inputs) if times is None else read_times(times, inputs)
     search = Search(dark=None if dark is None else read_image(dark))
     tested: list[Tested] = []

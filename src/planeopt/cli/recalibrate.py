@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 from cyclopts.types import NonNegativeFloat, PositiveInt
 
-from planeopt.cli.files import spare_what_is_read
+from planeopt.cli.files import may_write
 from planeopt.cli.messages import exit_status, report, tables
 from planeopt.cli.rigs import load_measuring_rig
 from planeopt.cli.tables import table
@@ -97,7 +97,9 @@ def recalibrate(
             "board, or state it: --sigma f=2 --sigma cx=1 --sigma cy=1 --sigma radius=0.01"
         )
     written = [output] if record is None else [output, record]
-    _may_write(written, [*inputs, *(file for file in (rig, times, dark) if file is not None)], force=force)
+    for number, path in enumerate(written):
+        read = (file for file in (rig, times, dark) if file is not None)
+        may_write(path, [*inputs, *read, *written[:number]], force=force)
     positions = Positions.of_names(inputs) if times is None else read_times(times, inputs)
     search = Search(dark=None if dark is None else read_image(dark))
     measured: list[Measurement] = []
@@ -126,15 +128,6 @@ def _stated(texts: tuple[str, ...]) -> dict[str, float]:
         except ValueError:
             raise InputError(f"--sigma {text}: give NAME=VALUE, cx=1 for example") from None
     return stated
-
-
-def _may_write(written: list[Path], read: list[str | Path], *, force: bool) -> None:
-    for number, path in enumerate(written):
-        spare_what_is_read(path, [*read, *written[:number]])
-        if path.is_dir():
-            raise InputError(f"{path}: is a folder; name the file to write in it")
-        if path.exists() and not force:
-            raise InputError(f"{path}: exists already; --force overwrites it")
 
 
 @dataclass(frozen=True)
