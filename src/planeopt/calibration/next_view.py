@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planeopt.calibration.adjustment import Adjustment
-from planeopt.calibration.candidate_views import Observer, candidates, depths
+from planeopt.calibration.candidate_views import candidates, depths
+from planeopt.calibration.expected import Observer
 from planeopt.calibration.pose_cost import plane_sensitivity, working_planes
 from planeopt.calibration.state import State
 

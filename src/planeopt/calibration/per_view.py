@@ -1,5 +1,6 @@
 """What each view alone says about the parameters that all views share, its own pose being unknown."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,7 +72,7 @@ def eliminated(linear: Linear, weight: Array, selection: Array) -> PerView:
     return joined([(linear, weight)], selection)
 
 
-def joined(parts: list[tuple[Linear, Array]], selection: Array) -> PerView:
+def joined(parts: Sequence[tuple[Linear, Array]], selection: Array) -> PerView:
     """Return what several kinds of residuals of the same views say together; as `eliminated`."""
     rows = [
         (linear.shared @ selection, linear.pose, linear.residual, np.sqrt(weight)[..., None])
