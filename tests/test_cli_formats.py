@@ -14,14 +14,14 @@ from planeopt.rig import Rig, load_rig, save_rig
 
 EXAMPLE = load_rig(RIG_FILE)
 LEFT_OUT = (
-    "planeopt: left out, because that format holds the camera alone: the laser beam, the pixel pitch; keep "
-    f"{RIG_FILE}\n"
+    f"planeopt: {RIG_FILE}: left out, because this format holds the camera alone: the laser beam, the pixel pitch; "
+    "keep the rig file\n"
 )
 
 
 @pytest.mark.parametrize("to", ["ros", "opencv", "kalibr", "mrcal"])
 def test_export_to_standard_output_or_a_file(to: ExportFormat, tmp_path: Path, capfd: pytest.CaptureFixture[str]):
-    text = export_camera(EXAMPLE, to)
+    text = export_camera(EXAMPLE, to).text
     assert main(["export", "--rig", str(RIG_FILE), "--to", to]) == 0
     assert capfd.readouterr() == (text, LEFT_OUT)
     file = tmp_path / "camera.yaml"
@@ -104,7 +104,7 @@ def test_what_cannot_be_done_is_one_line(
     arguments: list[str], message: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):
     there, k3 = tmp_path / "there.yaml", tmp_path / "k3.toml"
-    there.write_text(export_camera(EXAMPLE, "ros"), encoding="utf-8")
+    there.write_text(export_camera(EXAMPLE, "ros").text, encoding="utf-8")
     k3.write_text(RIG_FILE.read_text(encoding="utf-8").replace("0.0004, 0.0]", "0.0004, 0.1]"), encoding="utf-8")
     places = {"rig": RIG_FILE, "there": there, "folder": tmp_path, "k3": k3}
     before = there.read_bytes()
@@ -115,6 +115,15 @@ def test_what_cannot_be_done_is_one_line(
     assert message in captured.err
     assert there.read_bytes() == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["k3.toml", "there.yaml"]
+
+
+def test_approximating_is_asked_for_and_said(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    k3 = tmp_path / "k3.toml"
+    k3.write_text(RIG_FILE.read_text(encoding="utf-8").replace("0.0004, 0.0]", "0.0004, 0.1]"), encoding="utf-8")
+    assert main(["export", "--rig", str(k3), "--to", "kalibr", "--approximate"]) == 0
+    captured = capfd.readouterr()
+    assert captured.out == export_camera(load_rig(k3), "kalibr", approximate=True).text
+    assert "k1, k2, p1 and p2 were fitted anew in place of k3 too: pixels move by up to" in captured.err
 
 
 def test_force_overwrites(tmp_path: Path):
@@ -130,4 +139,4 @@ def test_the_documents_show_what_is_written():
     formats: tuple[ExportFormat, ...] = ("ros", "opencv", "kalibr", "mrcal")
     for to, block in zip(formats, shown, strict=True):
         # All but the comment at the head.
-        assert re.sub(r"^#.*\n", "", export_camera(EXAMPLE, to), flags=re.MULTILINE) == block
+        assert re.sub(r"^#.*\n", "", export_camera(EXAMPLE, to).text, flags=re.MULTILINE) == block

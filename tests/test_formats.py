@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 
 from example_rig import RIG_FILE
 from planeopt.errors import InputError
-from planeopt.formats import ExportFormat, export_camera, import_camera, left_out
+from planeopt.formats import ExportFormat, export_camera, import_camera
+from planeopt.formats.kalibr import without_k3
 from planeopt.formats.opencv import from_opencv
 from planeopt.formats.ros import from_ros
 from planeopt.rig import Camera, Rig, RigCovariance, load_rig
@@ -115,32 +116,32 @@ READERS = {"ros": as_ros_sees, "opencv": as_opencv_sees, "kalibr": as_kalibr_see
 
 @pytest.mark.parametrize("to", FORMATS)
 def test_their_readers_find_every_bit_of_the_example(to: ExportFormat):
-    assert bits(READERS[to](export_camera(EXAMPLE, to))) == bits(EXAMPLE.camera)
+    assert bits(READERS[to](export_camera(EXAMPLE, to).text)) == bits(EXAMPLE.camera)
 
 
 @pytest.mark.parametrize("to", ["ros", "opencv", "mrcal"])
 def test_awkward_numbers_keep_every_bit(to: ExportFormat):
-    assert bits(READERS[to](export_camera(Rig(AWKWARD), to))) == bits(AWKWARD)
+    assert bits(READERS[to](export_camera(Rig(AWKWARD), to).text)) == bits(AWKWARD)
 
 
 @settings(max_examples=60, derandomize=True, deadline=None)
 @given(cameras())
 def test_their_readers_find_every_bit(camera: Camera):
     for to in ("ros", "opencv", "mrcal"):
-        assert bits(READERS[to](export_camera(Rig(camera), to))) == bits(camera)
+        assert bits(READERS[to](export_camera(Rig(camera), to).text)) == bits(camera)
 
 
 @settings(max_examples=60, derandomize=True, deadline=None)
 @given(cameras(k3=st.just(0.0), centre=st.floats(0, 1e300)))
 def test_kalibr_finds_every_bit(camera: Camera):
-    assert bits(as_kalibr_sees(export_camera(Rig(camera), "kalibr"))) == bits(camera)
+    assert bits(as_kalibr_sees(export_camera(Rig(camera), "kalibr").text)) == bits(camera)
 
 
 @settings(max_examples=100, derandomize=True, deadline=None)
 @given(cameras(), st.none() | st.floats(1e-4, 1))
 def test_round_trips_keep_every_bit(camera: Camera, pitch: float | None):
     rig = Rig(replace(camera, pixel_pitch_mm=pitch))
-    as_ros, as_opencv = export_camera(rig, "ros"), export_camera(rig, "opencv")
+    as_ros, as_opencv = export_camera(rig, "ros").text, export_camera(rig, "opencv").text
     for found in (from_ros(as_ros, "camera.yaml", pitch), from_opencv(as_opencv, "camera.yaml", pitch)):
         assert bits(found.camera) == bits(camera)
         assert found.camera == rig.camera
@@ -293,42 +294,78 @@ def test_a_principal_point_off_the_image_is_remarked_on():
 
 def test_what_is_left_out_is_said_in_the_file(tmp_path: Path):
     covariance = RigCovariance(("f",), np.array([[0.25]]))
-    rig = replace(EXAMPLE, covariance=covariance)
-    assert left_out(rig) == ("the laser beam", "the covariance", "the pixel pitch")
-    assert left_out(Rig(AWKWARD)) == ()
+    rig = replace(EXAMPLE, covariance=covariance, refused="all views\nare frontal")
+    alone = Rig(replace(EXAMPLE.camera, pixel_pitch_mm=None))
     for to in FORMATS:
-        said = [line for line in export_camera(rig, to).splitlines() if line.startswith("#")]
-        assert any("the laser beam, the covariance, the pixel pitch" in line for line in said)
-        plain = replace(AWKWARD, distortion=(0.0, 0.0, 0.0, 0.0, 0.0))
-        assert "laser" not in export_camera(Rig(plain), to)
+        refusal, missing = export_camera(rig, to).notes
+        assert refusal == "the calibration of this rig was refused: all views are frontal"
+        assert ": the laser beam, the covariance, the pixel pitch; " in missing
+        said = [line.removeprefix("# ") for line in export_camera(rig, to).text.splitlines() if line.startswith("#")]
+        assert said[-2:] == [refusal, missing]
+        assert export_camera(alone, to).notes == ()
+        assert "laser" not in export_camera(alone, to).text
     file = tmp_path / "camera.yaml"
-    file.write_text(export_camera(rig, "ros"), encoding="utf-8")
+    file.write_text(export_camera(rig, "ros").text, encoding="utf-8")
     assert import_camera(file, "ros", pixel_pitch_mm=0.0055).camera == rig.camera
-    file.write_text(export_camera(rig, "opencv"), encoding="utf-8")
+    file.write_text(export_camera(rig, "opencv").text, encoding="utf-8")
     assert import_camera(file, "opencv", pixel_pitch_mm=0.0055).camera == rig.camera
 
 
 @pytest.mark.parametrize("name", ["no", "e1", "left/camera-1"])
 def test_a_name_stays_a_text(name: str):
-    assert yaml.safe_load(export_camera(EXAMPLE, "ros", name=name))["camera_name"] == name
-    assert yaml.safe_load(export_camera(EXAMPLE, "kalibr", name=name))["cam0"]["rostopic"] == f"/{name}/image_raw"
+    assert yaml.safe_load(export_camera(EXAMPLE, "ros", name=name).text)["camera_name"] == name
+    assert yaml.safe_load(export_camera(EXAMPLE, "kalibr", name=name).text)["cam0"]["rostopic"] == f"/{name}/image_raw"
 
 
 def test_kalibr_refuses_k3_and_says_what_would_be_lost():
     camera = replace(EXAMPLE.camera, distortion=(-0.1, 0.05, 0.0, 0.0, 0.02))
     there, _ = camera.normalise([[0, 0], [959, 0], [0, 719], [959, 719]])
-    # k3 stands with the sixth power of the radius: the farthest corner of the image, (0, 719), loses most.
+    # k3 stands with the sixth power of the radius: the farthest corner of the image loses most.
     lost = 0.02 * float(np.max(np.hypot(*there.T))) ** 7 * camera.fx
     with pytest.raises(InputError) as caught:
         export_camera(Rig(camera), "kalibr")
-    words = r"k3 = 0\.02: without it pixels move by up to (\S+) px, at \(0, 719\)\. Calibrate"
+    words = r"k3 = 0\.02, which moves pixels by up to (\S+) px; --approximate .* right to (\S+) px"
     found = re.search(words, str(caught.value))
     assert found is not None
     # Written with three digits.
     assert math.isclose(float(found[1]), lost, rel_tol=6e-3)
+    assert float(found[2]) < lost / 5
+    [note] = export_camera(Rig(replace(camera, pixel_pitch_mm=None)), "kalibr", approximate=True).notes
+    assert note.endswith(f"fitted anew in place of k3 too: pixels move by up to {found[2]} px")
 
 
-def test_kalibr_says_so_where_the_loss_has_no_number():
-    folding = replace(EXAMPLE.camera, distortion=(-40.0, 0.0, 0.0, 0.0, 1e-3))
-    with pytest.raises(InputError, match="leaving it out would make it another camera"):
-        export_camera(Rig(folding), "kalibr")
+@settings(max_examples=40, derandomize=True, deadline=None)
+@given(st.tuples(*[st.floats(-0.08, 0.08)] * 2, *[st.floats(-2e-3, 2e-3)] * 2), st.floats(-0.08, 0.08))
+def test_the_nearest_camera_without_k3(four: tuple[float, float, float, float], k3: float):
+    camera = Camera((1280, 960), 1100.0, 1090.0, 650.0, 470.0, (*four, k3))
+    near = without_k3(camera)
+    assert near.distortion[4] == 0
+    assert (near.fx, near.fy, near.cx, near.cy) == (camera.fx, camera.fy, camera.cx, camera.cy)
+    # At the least: no change of one coefficient brings the images nearer.
+    u, v = np.meshgrid(np.linspace(0, 1279, 33), np.linspace(0, 959, 33))
+    pixels = np.stack([u.ravel(), v.ravel()], axis=1)
+    rays, _ = camera.normalise(pixels)
+    least = float(np.sum((near.project(rays) - pixels) ** 2))
+    for place in range(4):
+        for step in (-1e-4, 1e-4):
+            bent = [k + step * (i == place) for i, k in enumerate(near.distortion)]
+            k1, k2, p1, p2, _ = bent
+            other = replace(near, distortion=(k1, k2, p1, p2, 0.0))
+            assert float(np.sum((other.project(rays) - pixels) ** 2)) > least
+    # What needs no change has none, to rounding.
+    plain = replace(camera, distortion=(*four, 0.0))
+    np.testing.assert_allclose(without_k3(plain).distortion, plain.distortion, rtol=0, atol=1e-10)
+
+
+def test_approximating_changes_what_needs_it_alone():
+    assert export_camera(EXAMPLE, "kalibr", approximate=True) == export_camera(EXAMPLE, "kalibr")
+    bent = Rig(replace(EXAMPLE.camera, distortion=(-0.1, 0.05, 0.0, 0.0, 0.02)))
+    for to in ("ros", "opencv", "mrcal"):
+        assert export_camera(bent, to, approximate=True) == export_camera(bent, to)
+
+
+def test_kalibr_refuses_where_the_loss_has_no_number():
+    folding = Rig(replace(EXAMPLE.camera, distortion=(-40.0, 0.0, 0.0, 0.0, 1e-3)))
+    for approximate in (False, True):
+        with pytest.raises(InputError, match="distortion cannot be inverted"):
+            export_camera(folding, "kalibr", approximate=approximate)

@@ -16,8 +16,8 @@ from planeopt.formats.ros import from_ros
 from planeopt.rig import Camera, Rig, load_rig
 
 EXAMPLE = load_rig(RIG_FILE)
-ROS = export_camera(EXAMPLE, "ros")
-OPENCV = export_camera(EXAMPLE, "opencv")
+ROS = export_camera(EXAMPLE, "ros").text
+OPENCV = export_camera(EXAMPLE, "opencv").text
 DISTORTION = "[-0.163, 0.104, 0.0003, 0.0004, 0.0]"
 
 

@@ -20,6 +20,7 @@ def export(
     to: Literal["ros", "opencv", "kalibr", "mrcal"],
     output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
     name: str = "camera",
+    approximate: Annotated[bool, Parameter(negative="")] = False,
     force: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Write the camera of a rig for another program, every digit of it.
@@ -37,10 +38,12 @@ def export(
         The file; standard output if left out.
     name
         The camera's name, for the formats that have one.
+    approximate
+        For kalibr, which has no k3: fit the other coefficients anew in its place, and say how far that is off.
     force
         Overwrite the output file.
     """
-    from planeopt.formats import export_camera, left_out
+    from planeopt.formats import export_camera
     from planeopt.rig import load_rig
     from planeopt.whole_files import write_text
 
@@ -50,14 +53,13 @@ def export(
         if output.suffix.lower() in _MISLEADING:
             raise InputError(f"{output}: what is written is not {output.suffix}; name the file .yaml (.cameramodel)")
     try:
-        text = export_camera(loaded, to, name=name)
+        exported = export_camera(loaded, to, name=name, approximate=approximate)
     except InputError as error:
         raise InputError(f"{rig}: {error}") from error
     if output is None:
-        sys.stdout.write(text)
+        sys.stdout.write(exported.text)
     else:
-        write_text(output, text)
-    missing = left_out(loaded)
-    if missing:
-        remark(f"left out, because that format holds the camera alone: {', '.join(missing)}; keep {rig}")
+        write_text(output, exported.text)
+    for note in exported.notes:
+        remark(f"{rig}: {note}")
     return 0

@@ -3,13 +3,14 @@
 import os
 import re
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Literal
 
 from planeopt import __version__
 from planeopt.errors import InputError
 from planeopt.formats.documents import read_text
 from planeopt.formats.imported import Imported
-from planeopt.formats.kalibr import kalibr_text
+from planeopt.formats.kalibr import kalibr_text, largest_move, without_k3
 from planeopt.formats.mrcal import mrcal_text
 from planeopt.formats.opencv import from_opencv, opencv_text
 from planeopt.formats.ros import from_ros, ros_text
@@ -31,16 +32,34 @@ _WRITERS: dict[str, tuple[str, Callable[[Camera, str, tuple[str, ...]], str]]] =
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_./-]*")
 
 
-def export_camera(rig: Rig, to: ExportFormat, *, name: str = "camera") -> str:
-    """Return the text of another program's file of a rig's camera; its numbers read back to the last bit.
+@dataclass(frozen=True)
+class Exported:
+    """A camera in another program's format.
+
+    Parameters
+    ----------
+    text : str
+        The file's.
+    notes : tuple of str
+        What was left out or changed, a sentence each; they stand in the file's comment too.
+    """
+
+    text: str
+    notes: tuple[str, ...] = ()
+
+
+def export_camera(rig: Rig, to: ExportFormat, *, name: str = "camera", approximate: bool = False) -> Exported:
+    """Write a rig's camera in another program's format; its numbers read back to the last bit.
 
     Parameters
     ----------
     rig : Rig
-        These formats hold the camera alone: what is left out stands in the file's comment (`left_out`).
+        These formats hold the camera alone; the notes say what is left out.
     to : {"ros", "opencv", "kalibr", "mrcal"}
     name : str
         Of the camera; what it is used for depends on the format.
+    approximate : bool
+        For kalibr, which has no k3: fit the other coefficients anew in its place, and note how far that is off.
 
     Raises
     ------
@@ -52,13 +71,20 @@ def export_camera(rig: Rig, to: ExportFormat, *, name: str = "camera") -> str:
     if not _NAME.fullmatch(name):
         raise InputError(f"a camera's name begins with a letter and has letters, digits and _ . / - only, not {name!r}")
     program, write = _WRITERS[to]
+    camera, notes = rig.camera, []
+    if rig.refused is not None:
+        notes.append(f"the calibration of this rig was refused: {' '.join(rig.refused.split())}")
+    if missing := _left_out(rig):
+        notes.append(f"left out, because this format holds the camera alone: {', '.join(missing)}; keep the rig file")
+    if approximate and to == "kalibr" and camera.distortion[-1] != 0:
+        camera = without_k3(camera)
+        moved = largest_move(rig.camera, camera)
+        notes.append(f"k1, k2, p1 and p2 were fitted anew in place of k3 too: pixels move by up to {moved:.3g} px")
     origin = f"{program}, written by planeopt {__version__}; px, pixel centres at integers"
-    missing = left_out(rig)
-    lost = (f"not in this file, but in the rig file it was made from: {', '.join(missing)}",) if missing else ()
-    return write(rig.camera, name, (origin, *lost))
+    return Exported(write(camera, name, (origin, *notes)), tuple(notes))
 
 
-def left_out(rig: Rig) -> tuple[str, ...]:
+def _left_out(rig: Rig) -> tuple[str, ...]:
     """Return, in words, what of a rig none of these formats can hold."""
     parts = (
         ("the laser beam", rig.beam),
