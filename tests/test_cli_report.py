@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 from dataclasses import dataclass, replace
@@ -18,6 +17,7 @@ import pypdf
 import pytest
 
 import planeopt.report
+from browser import browse, needs_chromium, show
 from example_rig import example_rig
 from planeopt.cli import INTERRUPTED, main
 from planeopt.example import example_folder, example_targets
@@ -320,41 +320,12 @@ def test_an_existing_folder_and_what_is_read_are_left_alone(tmp_path: Path, caps
     assert (tmp_path / "poses.json").read_text(encoding="utf-8") == "mine"
 
 
-CHROMIUM = next(
-    (found for name in ("chromium", "chromium-browser", "google-chrome", "chrome") if (found := shutil.which(name))),
-    None,
-)
-needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed to show the page")
-
-
-def browse(folder: Path, page: Path, *options: str) -> subprocess.CompletedProcess[str]:
-    assert CHROMIUM is not None
-    bare = ["--headless", "--no-sandbox", "--hide-scrollbars", f"--user-data-dir={folder / 'profile'}"]
-    quiet = ["--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-component-update"]
-    # Whatever it has to say on its own is on standard error; a page's messages are there as CONSOLE.
-    logged = ["--enable-logging=stderr", "--log-level=0"]
-    command = [CHROMIUM, *bare, *quiet, *logged, *options, page.as_uri()]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-
-
 @needs_chromium
 def test_a_browser_shows_the_page_without_complaint_and_without_overflow(made: Made, tmp_path: Path):
-    html = (made.folder / "report.html").read_text(encoding="utf-8")
-    measured = """<script>
-    const root = document.documentElement, right = root.clientWidth + 0.5;
-    const wide = [...document.querySelectorAll("main *")].filter(one => one.getBoundingClientRect().right > right);
-    const broken = [...document.images].filter(image => !image.naturalWidth).length;
-    root.dataset.said = [root.clientWidth, root.scrollWidth, wide.length, broken].join(" ");
-    </script></body>"""
-    page = tmp_path / "page.html"
-    page.write_text(html.replace("</body>", measured), encoding="utf-8")
-    shown = browse(tmp_path, page, "--window-size=1280,900", "--dump-dom")
-    assert "CONSOLE" not in shown.stderr
-    said = re.search(r'data-said="([^"]*)"', shown.stdout)
-    assert said is not None
-    client, scroll, wide, broken = (int(part) for part in said[1].split())
-    assert client == 1280
-    assert (scroll <= client, wide, broken) == (True, 0, 0)
+    shown = show(tmp_path, (made.folder / "report.html").read_text(encoding="utf-8"))
+    assert shown.complaints == ""
+    assert shown.client == 1280
+    assert (shown.scroll <= shown.client, shown.wide, shown.broken) == (True, 0, 0)
 
 
 @needs_chromium

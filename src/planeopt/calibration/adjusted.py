@@ -19,7 +19,7 @@ from planeopt.calibration.record import (
     Triple,
     ViewFit,
 )
-from planeopt.calibration.sections import BeamSection, sections
+from planeopt.calibration.sections import BeamSection, beam_sections
 
 Array = NDArray[np.float64]
 
@@ -122,11 +122,11 @@ def _noise(adjustment: Adjustment) -> NoiseRecord:
 
 
 def _views(adjustment: Adjustment) -> tuple[ViewFit, ...]:
-    found = sections(adjustment)
+    sections = beam_sections(adjustment)
     half = np.array([*adjustment.observations.board.size_mm, 0.0]) / 2
     return tuple(
         _view(adjustment, row, view, half, section)
-        for row, (view, section) in enumerate(zip(adjustment.observations.views, found, strict=True))
+        for row, (view, section) in enumerate(zip(adjustment.observations.views, sections, strict=True))
     )
 
 

@@ -42,7 +42,7 @@ class BeamSection:
     sigma_radius: float
 
 
-def sections(adjustment: Adjustment) -> tuple[BeamSection | None, ...]:
+def beam_sections(adjustment: Adjustment) -> tuple[BeamSection | None, ...]:
     """Return the beam's section in each view; None where there is no spot.
 
     The boundary's points are put onto the board, and centre and radius fitted to their distances from the fitted
