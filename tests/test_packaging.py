@@ -84,7 +84,11 @@ def test_wheel_holds_the_package_its_types_and_the_example(wheel: zipfile.ZipFil
     example = {f"planeopt/example/{f.relative_to(folder).as_posix()}" for f in folder.rglob("*") if f.is_file()}
     shipped = {name for name in wheel.namelist() if not name.split("/")[0].endswith(".dist-info")}
     assert any(name.endswith(".png") for name in example)
-    schemas = {"planeopt/simulation/scene.schema.json", "planeopt/report/poses.schema.json"}
+    schemas = {
+        "planeopt/simulation/scene.schema.json",
+        "planeopt/report/poses.schema.json",
+        "planeopt/calibration/calibration.schema.json",
+    }
     page = {"planeopt/report/page.css", "planeopt/report/page.html.j2"}
     assert shipped == modules | example | schemas | page | {"planeopt/py.typed"}
 

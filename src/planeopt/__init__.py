@@ -7,6 +7,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from planeopt.calibration.calibrate import Calibration, calibrate
+    from planeopt.calibration.session import load_session
     from planeopt.comparison import Comparison, compare
     from planeopt.errors import InputError
     from planeopt.estimation import BatchSolution, Combined, combine, solve, solve_batch
@@ -32,6 +34,7 @@ __all__ = [
     "AsPrinted",
     "BatchSolution",
     "Beam",
+    "Calibration",
     "Camera",
     "ClosedForm",
     "Combined",
@@ -56,10 +59,12 @@ __all__ = [
     "Status",
     "Swift",
     "__version__",
+    "calibrate",
     "combine",
     "compare",
     "find_spot",
     "load_rig",
+    "load_session",
     "read_image",
     "read_points",
     "sample_posterior",
@@ -70,6 +75,8 @@ __all__ = [
 ]
 
 _CONTENTS = {
+    "planeopt.calibration.calibrate": ("Calibration", "calibrate"),
+    "planeopt.calibration.session": ("load_session",),
     "planeopt.comparison": ("Comparison", "compare"),
     "planeopt.errors": ("InputError",),
     "planeopt.estimation": ("BatchSolution", "Combined", "combine", "solve", "solve_batch"),

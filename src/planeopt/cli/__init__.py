@@ -13,6 +13,7 @@ from cyclopts import App, CycloptsError
 
 from planeopt import __version__
 from planeopt.cli.board import board
+from planeopt.cli.calibrate import calibrate
 from planeopt.cli.check import check
 from planeopt.cli.clock import now
 from planeopt.cli.compare import compare
@@ -40,7 +41,7 @@ def build_app() -> App:
         version=__version__,
         suppress_keyboard_interrupt=False,
     )
-    for command in (demo, board, check, recalibrate, spot, pose, report, compare, reproduce, simulate):
+    for command in (demo, board, calibrate, check, recalibrate, spot, pose, report, compare, reproduce, simulate):
         app.command(command)
     app.command(export)
     app.command(import_, name="import")
