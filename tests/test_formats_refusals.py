@@ -139,6 +139,8 @@ def test_what_is_opencv_alone():
         ("a: &a {a: *a}\n", ", line 1: not valid YAML: "),
         ("<opencv_storage><image_width>", ", line 1: not valid XML: "),
         ("<svg></svg>", ": OpenCV's XML begins with <opencv_storage>, not <svg>"),
+        ("<opencv_storage><_>1</_></opencv_storage>", ": holds no keys at all"),
+        ("<opencv_storage><k>1</k><k>2</k></opencv_storage>", ": the key 'k' stands there twice"),
         ("<opencv_storage></opencv_storage>", ": image_width and image_height are missing"),
     ],
 )

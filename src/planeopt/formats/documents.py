@@ -19,7 +19,7 @@ from planeopt.errors import InputError
 Document = dict[str, Any]
 """Keys to texts, lists or further tables."""
 
-_ROOT = "opencv_storage"
+_ROOT, _NAMELESS = "opencv_storage", "_"
 _ESCAPED_APOSTROPHE = re.compile(r"(?<!\\)((?:\\\\)*)\\'")
 # OpenCV's JSON may have comments, each to the end of its line; within a text there is a quotation mark still to come.
 _JSON_COMMENT = re.compile(r"(?<!\S)//[^\"\n]*$", re.MULTILINE)
@@ -107,10 +107,19 @@ def parse_xml(text: str, source: str) -> Document:
         raise InputError(f"{source}: not valid XML: {error}") from error
     if root.tag != _ROOT:
         raise InputError(f"{source}: OpenCV's XML begins with <{_ROOT}>, not <{root.tag}>")
-    return {element.tag: _content(element) for element in root}
+    tables = _table(root, source)
+    if not isinstance(tables, dict):
+        raise InputError(f"{source}: holds no keys at all, so it is not a camera's file")
+    return tables
 
 
-def _content(element: ElementTree.Element) -> Any:
-    if len(element):
-        return {child.tag: _content(child) for child in element}
-    return (element.text or "").strip().strip('"')
+def _table(parent: ElementTree.Element, source: str) -> Any:
+    """Return the children by their names; where OpenCV gives them none, they are a list."""
+    names = [child.tag for child in parent]
+    content = [_table(child, source) if len(child) else (child.text or "").strip().strip('"') for child in parent]
+    if all(name == _NAMELESS for name in names) and names:
+        return content
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"{source}: the key {twice!r} stands there twice")
+    return dict(zip(names, content, strict=True))
