@@ -1,8 +1,7 @@
 """A calibration against the truth that its session was simulated with."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 import scipy.stats
@@ -143,10 +142,8 @@ def errors_row(adjustment: Adjustment, session: SimulatedSession) -> Errors:
 
 NO_ERRORS = Errors(**{f"{name}_sigmas": NAN for name in QUANTITIES}, chi2=NAN, dof=0, p_value=NAN)
 
-Row = TypeVar("Row")
 
-
-def of(rows: list[Row], name: str) -> Array:
+def of(rows: Sequence[object], name: str) -> Array:
     """Return the finite values of a field of rows."""
     values = np.array([getattr(row, name) for row in rows], dtype=np.float64)
     return values[np.isfinite(values)]
