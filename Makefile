@@ -15,7 +15,7 @@ $(READY): pyproject.toml
 
 demo: $(READY)
 	rm -rf demo-output
-	$(BIN)/planeopt demo -o demo-output
+	$(BIN)/planeopt demo -o demo-output --jobs $(WORKERS)
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -12,7 +12,6 @@ import planeopt
 from example_rig import RIG_FILE, TARGETS, points_file
 from planeopt.cli import main
 from planeopt.example import example_folder
-from planeopt.record import record_from_json
 
 RIG = ["--rig", str(RIG_FILE)]
 HEAVY = ("numpy", "casadi", "scipy", "cv2", "matplotlib", "msgspec")
@@ -68,45 +67,18 @@ def test_public_names_are_all_there_and_none_is_loaded_before_it_is_used():
         planeopt.nonsense  # noqa: B018 - the access is the test
 
 
-def test_demo_shows_poses_beside_the_truth(capsys: pytest.CaptureFixture[str]):
-    assert main(["demo"]) == 0
-    captured = capsys.readouterr()
-    assert captured.err == ""
-    assert all(captured.out.count(target.stem) == 2 for target in TARGETS)
-    for target in TARGETS:
-        truth = json.loads(target.with_suffix(".json").read_text())
-        assert f"{truth['z_L_mm']:.3f}" in captured.out
-
-
-def test_demo_writes_records_table_and_figure(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    out = tmp_path / "deep" / "demo"
-    assert main(["demo", "-o", str(out)]) == 0
-    assert str(out / "poses.jsonl") in capsys.readouterr().out
-    assert sorted(path.name for path in out.iterdir()) == ["accuracy.png", "poses.csv", "poses.jsonl"]
-    records = [record_from_json(line) for line in (out / "poses.jsonl").read_text().splitlines()]
-    assert [record.input for record in records] == [target.name for target in TARGETS]
-    with (out / "poses.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    for row, record, target in zip(rows, records, TARGETS, strict=True):
-        truth = json.loads(target.with_suffix(".json").read_text())
-        assert row["target"] == target.stem
-        assert float(row["z_L_mm"]) == record.z_L_mm
-        assert float(row["z_L_error_mm"]) == pytest.approx((record.z_L_mm or 0) - truth["z_L_mm"], abs=1e-12)
-        # Beyond 5 standard deviations the demonstration would show a fault, not a measurement.
-        assert abs(float(row["z_L_error_sigmas"])) < 5
-    image = cv2.imread(str(out / "accuracy.png"))
-    assert image is not None
-    assert image.shape[1] >= 1200
-
-
 def test_existing_folder_is_refused_without_force_and_kept_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    (tmp_path / "notes.txt").write_text("mine")
-    assert main(["demo", "-o", str(tmp_path)]) == 1
-    assert capsys.readouterr().err.count("\n") == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
-    assert main(["demo", "-o", str(tmp_path), "--force"]) == 0
-    assert (tmp_path / "notes.txt").read_text() == "mine"
-    assert (tmp_path / "poses.csv").exists()
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "notes.txt").write_text("mine")
+    compare = ["compare", str(points_file(tmp_path)), *RIG, "-o", str(out)]
+    for command in (compare, ["demo", "-o", str(out)]):
+        assert main(command) == 1
+        assert capsys.readouterr().err.count("\n") == 1
+        assert [path.name for path in out.iterdir()] == ["notes.txt"]
+    assert main([*compare, "--force"]) == 0
+    assert (out / "notes.txt").read_text() == "mine"
+    assert (out / "comparison.csv").exists()
 
 
 @pytest.mark.parametrize("force", [[], ["--force"]])
@@ -164,6 +136,7 @@ def test_compare_without_a_spot_is_status_2_and_still_writes(tmp_path: Path, cap
 
 def test_example_comes_with_everything_the_demo_needs():
     folder = example_folder()
+    assert (folder / "session" / "session.toml").is_file()
     assert (folder / "truth_rig.toml").is_file()
     assert len(TARGETS) == 6
     assert all(target.with_suffix(".json").is_file() for target in TARGETS)

@@ -1,4 +1,4 @@
-"""How far one plane is from another, and from the truth where an image comes with it."""
+"""How far one plane is from another, and from the truth where an image comes with it; likewise one rig."""
 
 import json
 import math
@@ -11,6 +11,7 @@ import numpy as np
 
 from planeopt.errors import InputError
 from planeopt.plane import Plane, SpotPose
+from planeopt.rig import Rig, RigCovariance
 from planeopt.solution import Solution
 from planeopt.uncertainty import Sigmas
 
@@ -115,6 +116,65 @@ class Score:
         sine = math.sin(self.truth.pose.alpha)
         sigma = math.nan if self.sigma is None or self.sigma.beta is None else self.sigma.beta
         return sine * math.remainder(self.pose.beta - self.truth.pose.beta, math.tau), sine * sigma
+
+
+@dataclass(frozen=True)
+class ParameterScore:
+    """One parameter of a calibrated rig, held against the truth; px, mm or 1.
+
+    Attributes
+    ----------
+    name : str
+    value, sigma : float
+        As calibrated, and its standard deviation.
+    truth : float
+    """
+
+    name: str
+    value: float
+    sigma: float
+    truth: float
+
+    @property
+    def error(self) -> float:
+        return self.value - self.truth
+
+    @property
+    def sigmas(self) -> float:
+        """The error in its own standard deviations."""
+        return self.error / self.sigma
+
+
+def rig_scores(rig: Rig, truth: Rig) -> tuple[ParameterScore, ...]:
+    """Hold each free parameter of a calibrated rig against the true rig's.
+
+    Raises
+    ------
+    InputError
+        If the rig has no covariance, or the true rig lacks one of the parameters.
+    """
+    return tuple(
+        ParameterScore(name, rig.parameter(name), float(sigma), truth.parameter(name))
+        for name, sigma in zip(_covariance(rig).parameters, _covariance(rig).sigmas, strict=True)
+    )
+
+
+def rig_chi2(rig: Rig, truth: Rig) -> tuple[float, int]:
+    """Return chi-squared of all errors of a calibrated rig together, by its joint covariance, and their number.
+
+    Raises
+    ------
+    InputError
+        As `rig_scores`.
+    """
+    errors = np.array([score.error for score in rig_scores(rig, truth)])
+    return float(errors @ np.linalg.solve(_covariance(rig).matrix, errors)), len(errors)
+
+
+def _covariance(rig: Rig) -> RigCovariance:
+    if rig.covariance is None:
+        raise InputError("the rig has no covariance: how far from the truth it may be is not known")
+    return rig.covariance
 
 
 def truth_beside(path: str | os.PathLike[str]) -> Truth | None:

@@ -127,7 +127,7 @@ def report(
         examined: list[Examined] = []
         with processes(jobs) as executor:
             try:
-                found = _kept(examine_many(inputs, loaded, options, executor=executor), examined)
+                found = kept_as_they_come(examine_many(inputs, loaded, options, executor=executor), examined)
                 status = go_through(found, len(inputs), "report")
             except BrokenExecutor as error:
                 raise InputError("a worker process died, for lack of memory perhaps: try fewer --jobs") from error
@@ -184,7 +184,8 @@ def _command(inputs: Sequence[str], values: dict[str, object], flags: dict[str, 
     return shlex.join([*words, *(name for name, given in flags.items() if given)])
 
 
-def _kept(found: Iterator["Examined"], kept: list["Examined"]) -> Iterator["Examined"]:
+def kept_as_they_come(found: Iterator["Examined"], kept: list["Examined"]) -> Iterator["Examined"]:
+    """Pass on what was examined and keep it; an interrupt of the sampler ends the command."""
     for one in found:
         posterior = one.record.posterior
         if posterior is not None and posterior.diagnostics.stopped == "interrupted":
