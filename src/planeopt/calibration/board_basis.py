@@ -33,17 +33,17 @@ def changes_worth_finding(rig: Rig, model: Model, bow_mm: float) -> dict[str, fl
     return {name: worth[name] for name in (*model.names, "f")}
 
 
-_LOOSE = 3.0
-"""A prior that decides nothing, in changes that are worth finding: it keeps one view from nonsense."""
+LOOSE = (3.0, 1.0, 0.3)
+"""Priors that decide nothing, in changes that are worth finding: a narrower one keeps a single view from nonsense."""
 
 
-def hardly_known(rig: Rig, model: Model, reach: dict[str, float]) -> Prior:
+def hardly_known(rig: Rig, model: Model, reach: dict[str, float], loose: float) -> Prior:
     """Return a prior so wide that it decides nothing that the views can decide."""
     names = model.names
     own = {} if rig.covariance is None else dict(zip(rig.covariance.parameters, rig.covariance.sigmas, strict=True))
     own |= {name: own["f"] for name in ("fx", "fy") if "f" in own}
     values = np.array([0.0 if name.startswith("warp") else rig.parameter(name) for name in names])
-    variances = np.array([(_LOOSE * reach[name]) ** 2 + own.get(name, 0.0) ** 2 for name in names])
+    variances = np.array([(loose * reach[name]) ** 2 + own.get(name, 0.0) ** 2 for name in names])
     return Prior(names, values, np.diag(1 / variances))
 
 
@@ -86,11 +86,14 @@ class Basis:
         """Return what a model's information (g, g) and pull (g,) say of the parameters."""
         return RigEvidence(self.free.T @ information @ self.free, self.free.T @ pull, self.sigma, self.reach)
 
+    def loosened(self, loose: Sequence[str]) -> Array:
+        """Return the covariance (n, n) before, where next to nothing is known of the parameters named."""
+        wide = [name in loose for name in self.names]
+        return self.sigma + np.diag(np.where(wide, (LOOSE[0] * self.reach) ** 2, 0.0))
+
     def prior(self, loose: Sequence[str] = ()) -> Prior:
         """Return what is known of the model's parameters; of those named `loose` next to nothing."""
-        known = self.sigma + np.diag(
-            [(_LOOSE * r) ** 2 if name in loose else 0.0 for name, r in zip(self.names, self.reach, strict=True)]
-        )
+        known = self.loosened(loose)
         held = (_HELD * self.fixed_reach) ** 2
         square = np.column_stack([self.free, self.extra])
         back = np.linalg.inv(square)

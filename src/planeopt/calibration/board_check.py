@@ -25,14 +25,14 @@ from numpy.typing import NDArray
 from planeopt.board import Observations, View
 from planeopt.calibration.adjustment import Adjustment, adjust
 from planeopt.calibration.approach import approach
-from planeopt.calibration.board_basis import Basis, basis_of, changes_worth_finding, hardly_known
+from planeopt.calibration.board_basis import LOOSE, Basis, basis_of, changes_worth_finding, hardly_known
 from planeopt.calibration.board_causes import GROUPS, Moved, causes_of, groups_alone, instead_of, p_value_of, unit_of
 from planeopt.calibration.equations import AdjustmentError, Equations, Task, Weights, equations, free_values
 from planeopt.calibration.model import Model
 from planeopt.calibration.noise import ELLIPSE
 from planeopt.calibration.per_view import PerView, eliminated, joined, task_of, weights_of
 from planeopt.calibration.rig_evidence import Extra, RigEvidence, found_from
-from planeopt.calibration.spot_evidence import spots_against
+from planeopt.calibration.spot_evidence import spots_against, spots_together
 from planeopt.calibration.state import State
 from planeopt.errors import InputError
 from planeopt.estimation.misfits import LEVEL
@@ -214,10 +214,15 @@ def check_board(observations: Observations, rig: Rig, *, bow_mm: float = BOW_MM)
     with_beam = rig.beam is not None and any(view.spot is not None for view in observations.views)
     model = Model(focal="separate", distortion="k3", warp=True, beam="free" if with_beam else "none")
     reach = changes_worth_finding(rig, model, bow_mm)
-    try:
-        fit = adjust(observations, model, prior=hardly_known(rig, model, reach), held=rig)
-    except (AdjustmentError, InputError) as reason:
-        return _untested(str(reason))
+    fit, why = None, ""
+    for loose in LOOSE:
+        try:
+            fit = adjust(observations, model, prior=hardly_known(rig, model, reach, loose), held=rig)
+            break
+        except (AdjustmentError, InputError) as reason:
+            why = str(reason)
+    if fit is None:
+        return _untested(why)
     if fit.corner_sigma > _SCATTER_PX:
         return _untested(
             f"the corners scatter by {fit.corner_sigma:.2g} px about any board that the views allow: these are not "
@@ -278,17 +283,23 @@ def _judged(fit: Adjustment, rig: Rig, basis: Basis) -> BoardCheck:
     """Test at the calibration's place; where it fails, find what moved and measure it there."""
     task = task_of(fit)
     weights = weights_of(fit, task.packed)
+    # The boundaries' sigmas are taken as given: whether they are right is tested.
+    weights = Weights(weights.corners, weights.boundary * fit.noise.spots**2)
     noise = fit.dof_corners
     linear = _linear(task, weights, approach(task, rig), basis, ())
     evidence, extra = _of(linear.each, linear.moved, basis)
-    tests = _tests(evidence, extra, fit)
+    tests = _tests(evidence, extra, spots_together(task, weights, linear.here, basis), noise)
     views = tuple(
         _view(row, fit, linear, basis, spot)
         for row, spot in enumerate(spots_against(task, weights, linear.here, basis))
     )
     causes: tuple[Moved, ...] = ()
     if any(test.part is BoardPart.SHIFT and not test.ok for test in tests):
-        evidence, causes = _measured(task, weights, linear, basis, noise)
+        shift = evidence
+        linear, evidence, causes = _measured(task, weights, linear, basis, noise)
+        # What no change explains is told from where the change that there is has been made.
+        extra = _of(linear.each, linear.moved, basis)[1]
+        tests = _tests(evidence, extra, spots_together(task, weights, linear.here, basis), noise, shift=shift)
     groups, changes = groups_alone(evidence, basis, noise), _changes(evidence, basis)
     state = BoardState.OK if all(test.ok for test in tests) else BoardState.DEGRADED
     result = BoardCheck(
@@ -310,7 +321,7 @@ def _judged(fit: Adjustment, rig: Rig, basis: Basis) -> BoardCheck:
 
 def _measured(
     task: Task, weights: Weights, linear: _Linear, basis: Basis, noise: float
-) -> tuple[RigEvidence, tuple[Moved, ...]]:
+) -> tuple[_Linear, RigEvidence, tuple[Moved, ...]]:
     """Find what moved, and again from where that puts the rig, until it is the same."""
     evidence = _of(linear.each, linear.moved, basis)[0]
     causes = causes_of(evidence, basis, noise)
@@ -323,7 +334,7 @@ def _measured(
         causes = again
         if same:
             break
-    return evidence, causes
+    return linear, evidence, causes
 
 
 def _of(each: PerView, moved: Array, basis: Basis) -> tuple[RigEvidence, Extra]:
@@ -333,21 +344,26 @@ def _of(each: PerView, moved: Array, basis: Basis) -> tuple[RigEvidence, Extra]:
     return basis.evidence(information, pull), basis.beyond(information, pull)
 
 
-def _tests(evidence: RigEvidence, extra: Extra, fit: Adjustment) -> tuple[BoardTest, ...]:
-    shift, dof = evidence.test()
+def _tests(
+    evidence: RigEvidence,
+    extra: Extra,
+    spots: tuple[float, float],
+    dof_noise: float,
+    *,
+    shift: RigEvidence | None = None,
+) -> tuple[BoardTest, ...]:
+    """Test the parts that there are; the shift, where that is given, as it was seen from the calibration's place."""
+    moved, dof = (evidence if shift is None else shift).test()
     rest, dof_rest = evidence.beyond(extra) if len(extra.pull) else (0.0, 0)
-    spots, dof_spots = (fit.chi2_spots, fit.dof_spots) if fit.spot_used.any() else (0.0, 0.0)
     made = [
-        (BoardPart.SHIFT, shift, float(dof), True),
+        (BoardPart.SHIFT, moved, float(dof), True),
         (BoardPart.REST, rest, float(dof_rest), True),
-        (BoardPart.SPOTS, float(spots), float(dof_spots), False),
+        (BoardPart.SPOTS, *spots, False),
     ]
-    if dof_spots >= 1 and dof > 0:
-        made.insert(0, (BoardPart.POOLED, shift + float(spots), dof + float(dof_spots), True))
+    if spots[1] >= 1 and dof > 0:
+        made.insert(0, (BoardPart.POOLED, moved + spots[0], dof + spots[1], True))
     return tuple(
-        BoardTest(
-            part, chi2, n, p_value_of(chi2, n, fit.dof_corners) if scaled else float(scipy.stats.chi2.sf(chi2, n))
-        )
+        BoardTest(part, chi2, n, p_value_of(chi2, n, dof_noise) if scaled else float(scipy.stats.chi2.sf(chi2, n)))
         for part, chi2, n, scaled in made
         if n >= 1
     )
