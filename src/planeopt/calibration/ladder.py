@@ -129,8 +129,7 @@ def climb(observations: Observations, model: Model, rung: Rung | None) -> tuple[
     AdjustmentError
         If the observations do not determine the rung.
     """
-    prior = camera_prior(start_camera(Packed.of(observations)).camera)
-    top = adjust(observations, replace(model, distortion=RUNGS[-1]), prior=prior)
+    top = adjust_all(observations, model)
     fits = {name: refit(top, replace(model, distortion=name)) for name in RUNGS[:-1]} | {RUNGS[-1]: top}
     chosen = RUNGS[-1] if rung is None else rung
     tests = tuple(
@@ -146,6 +145,24 @@ def climb(observations: Observations, model: Model, rung: Rung | None) -> tuple[
     if rung is None:
         return top, tests
     return adjust(observations, replace(model, distortion=rung), start=fits[rung].state), tests
+
+
+def adjust_all(observations: Observations, model: Model) -> Adjustment:
+    """Adjust with all distortions free, and the prior of all cameras: what `climb` gives where no rung is asked for.
+
+    Parameters
+    ----------
+    observations : Observations
+    model : Model
+        Its distortion is replaced.
+
+    Raises
+    ------
+    AdjustmentError
+        If the observations do not determine the free parameters.
+    """
+    prior = camera_prior(start_camera(Packed.of(observations)).camera)
+    return adjust(observations, replace(model, distortion=RUNGS[-1]), prior=prior)
 
 
 def camera_prior(camera: Camera) -> Prior:

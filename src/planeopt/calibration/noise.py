@@ -102,21 +102,22 @@ def ellipse_misfits(here: Equations, weights: Weights) -> Array:
 def without_outliers(task: Task, here: Equations, noise: Noise) -> Weights:
     """Return the weights by the sigmas given, zero for what is wrong by rule: the worst, and at most a share of all."""
     packed, given = task.packed, weights_given(task.packed)
-    tails = chi2.sf((corner_norms(here) / noise.corners) ** 2 * given.corners, 2)
+    squares = (corner_norms(here) / noise.corners) ** 2 * given.corners
     seen = packed.corner_seen
-    bad = _worst(np.where(seen, tails, 1.0), int(MOST_CORNERS * np.count_nonzero(seen)))
+    bad = _worst(squares, 2, int(MOST_CORNERS * np.count_nonzero(seen)))
     # A view keeps what its pose needs.
     bad &= (np.count_nonzero(seen & ~bad, axis=1) >= LEAST_CORNERS)[:, None]
     count = int(np.count_nonzero(packed.with_spot))
-    misfits = chi2.sf(ellipse_misfits(here, given) / noise.spots**2, ELLIPSE)
     most = max(1, int(MOST_SPOTS * count)) if count > 2 else 0
-    wrong = _worst(np.where(packed.with_spot, misfits, 1.0), most)
+    wrong = _worst(ellipse_misfits(here, given) / noise.spots**2, ELLIPSE, most)
     return Weights(np.where(bad, 0.0, given.corners), np.where(wrong[:, None], 0.0, given.boundary))
 
 
-def _worst(tails: Array, most: int) -> Mask:
-    """Return which have a probability below the rule's, but at most so many."""
-    bad = tails < _TAIL
+def _worst(squares: Array, dof: int, most: int) -> Mask:
+    """Return which chi-squareds are less likely than the rule allows, but at most so many, the largest."""
+    bad = squares > chi2.isf(_TAIL, dof)
     if np.count_nonzero(bad) > most:
-        bad &= tails < np.partition(tails.ravel(), most)[most] if most else False
+        largest = np.argsort(-squares, axis=None, kind="stable")[:most]
+        bad = np.zeros_like(bad)
+        bad.flat[largest] = True
     return bad
