@@ -10,7 +10,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from planeopt.calibration.calibrate import Options, calibrate
+from planeopt.calibration.routine import Options, calibrate
 from planeopt.calibration.detection import detect
 from planeopt.calibration.session import load_session
 from planeopt.errors import InputError

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planeopt.calibration.calibrate import calibrate
+from planeopt.calibration.routine import calibrate
 from planeopt.executors import ordered_map
 from planeopt.simulation import (
     BeamProfile,

@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from planeopt.calibration.calibrate import Calibration, calibrate
+    from planeopt.calibration.routine import Calibration, calibrate
     from planeopt.calibration.session import load_session
     from planeopt.comparison import Comparison, compare
     from planeopt.errors import InputError
@@ -75,7 +75,7 @@ __all__ = [
 ]
 
 _CONTENTS = {
-    "planeopt.calibration.calibrate": ("Calibration", "calibrate"),
+    "planeopt.calibration.routine": ("Calibration", "calibrate"),
     "planeopt.calibration.session": ("load_session",),
     "planeopt.comparison": ("Comparison", "compare"),
     "planeopt.errors": ("InputError",),

@@ -7,7 +7,7 @@ recorded (`record`). `calibrate` does all of it.
 
 from planeopt.calibration.adjustment import Adjustment, adjust, refit
 from planeopt.calibration.board_check import check_board
-from planeopt.calibration.calibrate import Calibration, Options, calibrate
+from planeopt.calibration.routine import Calibration, Options, calibrate
 from planeopt.calibration.detection import Detected, ImageStatus, detect, detect_image
 from planeopt.calibration.equations import AdjustmentError, Prior
 from planeopt.calibration.gate import Gate

@@ -9,7 +9,7 @@ import cv2
 
 from planeopt import __version__
 from planeopt.calibration.adjusted import adjustment_record, triple, triples
-from planeopt.calibration.calibrate import Calibration, Options
+from planeopt.calibration.routine import Calibration, Options
 from planeopt.calibration.gate import Gate
 from planeopt.calibration.held_out import HeldOut
 from planeopt.calibration.ladder import Tested

@@ -19,9 +19,9 @@ from planeopt.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from planeopt.calibration.calibrate import Options
     from planeopt.calibration.detection import Detected
     from planeopt.calibration.record import CalibrationFile
+    from planeopt.calibration.routine import Options
 
 Tell = Callable[[str, int, int], object]
 _NONE = Parameter(negative="")
@@ -125,12 +125,12 @@ def calibrate(
     force
         Write into an existing folder, and the rig.toml of a calibration that is refused; the file then says so.
     """
-    from planeopt.calibration.calibrate import Options
-    from planeopt.calibration.calibrate import calibrate as calibrated
     from planeopt.calibration.detections_file import save_detections as save
     from planeopt.calibration.observed import detected_from_record
     from planeopt.calibration.record import load_record
     from planeopt.calibration.recording import options_from_record
+    from planeopt.calibration.routine import Options
+    from planeopt.calibration.routine import calibrate as calibrated
     from planeopt.executors import processes
     from planeopt.report.calibration_files import FILES, RIG, write_calibration
 
@@ -186,6 +186,7 @@ def _command(session: Path, asked: Asked, detections: Path | None, seed: int) ->
 def _show(console: "Console", file: "CalibrationFile", written: list[Path]) -> None:
     """Print what became of the images, the parameters, what was tested, the verdict."""
     from planeopt.report.calibration_terminal import conditions, images, parameters, tests
+    from planeopt.report.calibration_words import FORCED
 
     if file.images:
         console.print(text_table(*images(file)))
@@ -197,6 +198,8 @@ def _show(console: "Console", file: "CalibrationFile", written: list[Path]) -> N
     lines = [f"{file.verdict.upper()}: {file.message}"]
     if file.next_view is not None:
         lines.append(file.next_view.sentence)
+    if file.forced:
+        lines.append(FORCED)
     lines.append(f"written: {', '.join(map(str, written))}")
     for line in lines:
         console.print(line, soft_wrap=True, highlight=False, markup=False)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from planeopt.accuracy import Score
     from planeopt.batch import Measurement
-    from planeopt.calibration.calibrate import Calibration
+    from planeopt.calibration.routine import Calibration
     from planeopt.rig import Rig
 
 CALIBRATION, REPORT = "calibration", "report"
@@ -87,7 +87,7 @@ def demo(
 
 
 def _calibrated(executor: "Executor | None") -> "Calibration":
-    from planeopt.calibration.calibrate import calibrate
+    from planeopt.calibration.routine import calibrate
     from planeopt.example import example_folder
 
     with stages() as tell:

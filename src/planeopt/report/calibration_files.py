@@ -4,9 +4,9 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
-from planeopt.calibration.calibrate import Calibration
 from planeopt.calibration.record import CalibrationFile
 from planeopt.calibration.recording import calibration_file, provenance
+from planeopt.calibration.routine import Calibration
 from planeopt.report.calibration_page import calibration_html
 from planeopt.rig import save_rig
 from planeopt.whole_files import write_text
