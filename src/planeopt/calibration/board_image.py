@@ -5,7 +5,6 @@ cannot be the board's. One view tells little of a lens, so that its distortion i
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import cv2
 import numpy as np
@@ -20,6 +19,7 @@ _PRIOR = 0.3  # of k1 and k2, at half the image's diagonal
 _FLOOR = 2e-4  # of half the diagonal: less is not taken for the points' scatter
 _NEAR = 0.5  # of a square: what lens and haste may put a point off a homography
 _FITS = 0.2  # of a square: a point further off is another one
+_INVERSIONS = 12
 _STEP = 0.25  # of a square, for differences
 
 
@@ -30,7 +30,8 @@ class BoardImage:
     Parameters
     ----------
     homography : (3, 3) array
-        From mm on the board to the image's coordinates about its middle, in half diagonals, without distortion.
+        From mm on the board to the image's coordinates about its middle, in half diagonals, without distortion; its
+        third row is positive before the camera.
     distortion : (2,) array
         k1, k2 in these coordinates.
     middle : (2,) array
@@ -54,20 +55,27 @@ class BoardImage:
         k1, k2 = self.distortion
         return self.middle + self.scale * flat * (1 + square * (k1 + square * k2))
 
+    def places(self, pixels: Array) -> Array:
+        """Return the points (N, 2), mm, whose images pixels (N, 2) are: to a thousandth of a square or so."""
+        flat = (pixels - self.middle) / self.scale
+        ideal, (k1, k2) = flat, self.distortion
+        for _ in range(_INVERSIONS):
+            square = (ideal**2).sum(axis=1, keepdims=True)
+            ideal = flat / np.maximum(1 + square * (k1 + square * k2), 0.1)
+        return _homogeneous(ideal, np.asarray(np.linalg.inv(self.homography), dtype=np.float64))
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the board is seen from behind, as no camera sees it."""
+        return bool(np.linalg.det(self.homography) < 0)
+
     def in_front(self, points: Array) -> Mask:
         """Return which points (N, 2) lie before the camera and where the distortion does not fold the image back."""
-        sign = np.sign(np.linalg.det(self.homography) or 1.0)
         depth = points @ self.homography[2, :2] + self.homography[2, 2]
         flat = _homogeneous(points, self.homography)
         square = (flat**2).sum(axis=1)
         k1, k2 = self.distortion
-        return (
-            (depth * np.sign(self._depth_of_middle) > 0) & (1 + square * (3 * k1 + 5 * square * k2) > 0) & (sign != 0)
-        )
-
-    @cached_property
-    def _depth_of_middle(self) -> float:
-        return float(self.homography[2, 2])
+        return (depth > 0) & (1 + square * (3 * k1 + 5 * square * k2) > 0)
 
     def slopes(self, points: Array) -> tuple[Array, Array]:
         """Return the first (N, 2, 2) and second (N, 2, 2, 2) derivatives at points (N, 2): px per mm, px per mm^2."""

@@ -16,6 +16,14 @@ from planeopt.board.pattern import printed_markers
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 
+DICTIONARIES = (
+    *(f"DICT_{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
+    "DICT_ARUCO_ORIGINAL",
+    "DICT_ARUCO_MIP_36h12",
+    *(f"DICT_APRILTAG_{name}" for name in ("16h5", "25h9", "36h10", "36h11")),
+)
+"""OpenCV's predefined dictionaries; of nested ones the smaller first."""
+
 
 @dataclass(frozen=True, eq=False)
 class Markers:
@@ -79,7 +87,13 @@ def _charuco_board(board: Board) -> Any:
     side = float(np.sqrt(board.square_mm[0] * board.square_mm[1]))
     marker = min(board.marker_mm, 0.999 * side)
     ids = np.arange(board.first_id, board.first_id + board.marker_count, dtype=np.int32)
-    made = cv2.aruco.CharucoBoard(board.squares, side, marker, _dictionary(board.dictionary), ids)
+    # It remarks upon narrow margins on standard error.
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
+    try:
+        made = cv2.aruco.CharucoBoard(board.squares, side, marker, _dictionary(board.dictionary), ids)
+    finally:
+        cv2.utils.logging.setLogLevel(level)
     made.setLegacyPattern(board.legacy)
     return made
 

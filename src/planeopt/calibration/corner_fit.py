@@ -300,32 +300,35 @@ class _Fit:
     left: Array
     contrast: Array
     normal: Array
+    gradient: Array
     last: Array
 
 
 def _gauss_newton(model: _Corners, state: _State | None = None, noise: tuple[float, float] | None = None) -> _Fit:
-    state = model.start if state is None else state
-    last = np.full(len(model.use), np.inf)
-    steps = _STEPS[0] if noise is None else _STEPS[1]
-    jacobian = np.empty((len(model.use), _FREE, model.use.shape[1]))
-    for turn in range(steps + 1):
-        share, slopes = model.terms(state)
-        weight = model.use if noise is None else model.use / np.sqrt(_variance(noise, share))
-        planes = model.planes(share)
-        weighed = jacobian[:, 6:]
-        np.multiply(planes, weight[:, None], out=weighed)
-        levels = _solve(weighed @ weighed.mT, weighed @ (model.value * weight)[:, :, None])
-        left = (model.value - (levels[:, None] @ planes)[:, 0]) * model.use
-        # At a corner the two planes differ by the contrast.
-        contrast = levels[:, 3] - levels[:, 0]
-        np.multiply(slopes, (contrast[:, None] * weight)[:, None], out=jacobian[:, :6])
-        normal = jacobian @ jacobian.mT
-        if turn == steps or float(last.max()) < _SETTLED:
+    """Fit by Gauss-Newton, the planes and the rest together; all pixels alike, or weighted by their noise."""
+    fit = _at(model, model.start if state is None else state, noise, np.full(len(model.use), np.inf))
+    for _ in range(_STEPS[0] if noise is None else _STEPS[1]):
+        if float(fit.last.max()) < _SETTLED:
             break
-        step = _solve(normal, jacobian @ (left * weight)[:, :, None])
-        state = state.after(step)
-        last = np.linalg.norm(step[:, :2], axis=1)
-    return _Fit(model, state, share, left, contrast, normal, last)
+        step = _solve(fit.normal, fit.gradient[:, :, None])
+        fit = _at(model, fit.state.after(step), noise, np.linalg.norm(step[:, :2], axis=1))
+    return fit
+
+
+def _at(model: _Corners, state: _State, noise: tuple[float, float] | None, last: Array) -> _Fit:
+    """Return the planes that fit best in a state, what is left, and the normal equations of what is free."""
+    share, slopes = model.terms(state)
+    weight = model.use if noise is None else model.use / np.sqrt(_variance(noise, share))
+    planes = model.planes(share)
+    jacobian = np.empty((len(share), _FREE, share.shape[1]))
+    weighed = np.multiply(planes, weight[:, None], out=jacobian[:, 6:])
+    levels = _solve(weighed @ weighed.mT, weighed @ (model.value * weight)[:, :, None])
+    left = (model.value - (levels[:, None] @ planes)[:, 0]) * model.use
+    # At a corner the two planes differ by the contrast.
+    contrast = levels[:, 3] - levels[:, 0]
+    np.multiply(slopes, (contrast[:, None] * weight)[:, None], out=jacobian[:, :6])
+    gradient = (jacobian @ (left * weight)[:, :, None])[..., 0]
+    return _Fit(model, state, share, left, contrast, jacobian @ jacobian.mT, gradient, last)
 
 
 def _measured(fit: _Fit, noise: tuple[float, float]) -> CornerFits:
@@ -350,7 +353,7 @@ def _variance(noise: tuple[float, float], share: Array) -> Array:
 
 
 def _solve(matrix: Array, right: Array) -> Array:
-    return np.linalg.solve(_regular(matrix), right)[..., 0]
+    return np.asarray(np.linalg.solve(_regular(matrix), right)[..., 0], dtype=np.float64)
 
 
 def _regular(matrix: Array) -> Array:

@@ -1,6 +1,6 @@
 """A board's corners in an image: found with OpenCV's markers, measured along their edges, judged one by one."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -19,6 +19,9 @@ _FIRST, _LONGEST = 10.0, 40.0  # px along the edges: roughly, and as far as it g
 _START_BLUR = 1.2  # px
 _WINDOW = 0.3, 3, 7  # of the side of a square, and px: half the window of OpenCV's refinement
 _SMALLEST = 6.0  # px: no square is smaller
+_MOST = 0.6  # of the markers lie as on the board: else it is another
+_CENTRED = 0.15  # of a square: how far a marker may be off the middle of its square
+_CONTRADICTIONS = 0.05  # of the markers
 _OWN_ERROR = 0.003  # px: of the model, on images without noise
 _COVERED = 0.6  # of each arm's pixels
 _CONTRAST = 0.3  # of the view's usual
@@ -73,48 +76,69 @@ def find_corners(values: NDArray[np.float32], board: Board) -> Corners:
     board : Board
     """
     height, width = values.shape
-    found, first = None, None
-    for eight in eight_bits(values):
-        seen = find_board(eight, board)
-        mapped = _first_map(seen, board, (width, height))
-        if found is None or (mapped is not None and (first is None or len(seen.markers) > len(found.markers))):
-            found, first, grey = seen, mapped, eight
-        if first is not None and len(found.ids) >= _ENOUGH:
+    best, mapped, grey = _NOTHING, None, np.empty((0, 0), dtype=np.uint8)
+    for image in eight_bits(values):
+        found = find_board(image, board)
+        first = _first_map(found, board, (width, height))
+        if first is not None and (mapped is None or len(found.markers) > len(best.markers)):
+            best, mapped, grey = found, first, image
+        if mapped is not None and len(best.ids) >= _ENOUGH:
             break
-    if found is None or first is None:
-        return Corners.none(found or _NOTHING, None)
-    return _measured(values, grey, board, found, first)
+    return Corners.none(best, None) if mapped is None else _measured(values, grey, board, best, mapped)
 
 
 def eight_bits(values: NDArray[np.float32]) -> Iterator[NDArray[np.uint8]]:
-    """Yield an image as OpenCV's detector wants it: as it is, then evened out, for where that is not enough."""
-    yield np.clip(values * 255 + 0.5, 0, 255).astype(np.uint8)
+    """Yield an image as OpenCV's detector wants it: as it is, then sharpened, then evened out where that is no help."""
+    plain = np.clip(values * 255 + 0.5, 0, 255)
+    yield plain.astype(np.uint8)
     low, high = np.quantile(values[::4, ::4], [0.01, 0.99])
-    stretched = np.sqrt(np.clip((values - low) / max(float(high - low), 1e-6), 0, 1))
-    evened = cv2.createCLAHE(4.0, (8, 8)).apply((stretched * 255).astype(np.uint8))
+    stretched = np.clip((values - low) / max(float(high - low), 1e-6), 0, 1).astype(np.float32)
+    smooth = np.asarray(cv2.GaussianBlur(stretched, (0, 0), _SHARPENED))
+    yield (np.clip(stretched + _SHARPENED * (stretched - smooth), 0, 1) * 255).astype(np.uint8)
+    evened = cv2.createCLAHE(4.0, (8, 8)).apply((np.sqrt(stretched) * 255).astype(np.uint8))
     yield np.asarray(evened, dtype=np.uint8)
 
 
+_SHARPENED = 3.0  # px, and times: markers that are blurred or small can be read so
 _ENOUGH = 12  # corners: with these OpenCV's detector is not asked again
-_NOTHING = Found(
-    Markers(np.empty(0, dtype=np.int64), np.empty((0, 4, 2))), np.empty(0, dtype=np.int64), np.empty((0, 2))
-)
+_NO_IDS = np.empty(0, dtype=np.int64)
+_NOTHING = Found(Markers(_NO_IDS, np.empty((0, 4, 2))), _NO_IDS, np.empty((0, 2)))
 
 
 def _first_map(found: Found, board: Board, size: tuple[int, int]) -> BoardImage | None:
-    """Return the map through markers and corners as OpenCV found them."""
+    """Return the map through markers and corners as OpenCV found them; ``None`` if most do not lie as on the board."""
     known = marker_corners(board)
-    pairs = [
-        (known[number], four)
-        for number, four in zip(found.markers.ids.tolist(), found.markers.corners, strict=True)
-        if number in known
-    ]
-    points = np.concatenate([board.corners[found.ids], *(places for places, _ in pairs)])
-    pixels = np.concatenate([found.corners, *(four for _, four in pairs)])
-    mapped = fit_board_image(points, pixels, size, board.square_mm)
-    if mapped is None or np.mean(mapped.fits(points, pixels)) < 0.6:
-        return None
-    return mapped
+    there = np.array([number in known for number in found.markers.ids.tolist()], dtype=np.bool_)
+    places = np.array([known[number] for number in found.markers.ids[there].tolist()]).reshape(-1, 4, 2)
+    fours = found.markers.corners[there]
+    # Where markers are of another size than said their middles still lie where they should.
+    for points, pixels in (
+        (places.reshape(-1, 2), fours.reshape(-1, 2)),
+        (places.mean(axis=1), fours.mean(axis=1)),
+    ):
+        points = np.concatenate([board.corners[found.ids], points])
+        pixels = np.concatenate([found.corners, pixels])
+        mapped = fit_board_image(points, pixels, size, board.square_mm)
+        if mapped is None or mapped.mirrored or np.mean(mapped.fits(points, pixels)) < _MOST:
+            continue
+        if not _contradicted(mapped, found.markers, known, board):
+            return mapped
+    return None
+
+
+def _contradicted(mapped: BoardImage, markers: Markers, known: Mapping[int, Array], board: Board) -> bool:
+    """Return whether markers lie in the middle of the board's squares, or of squares beyond it, but in wrong ones.
+
+    What was taken for a marker somewhere else is no sign of another board.
+    """
+    middles = mapped.places(markers.corners.mean(axis=1)) / board.square_mm - 0.5
+    in_square = np.abs(middles - np.rint(middles)).max(axis=1) < _CENTRED
+    nowhere = np.full((4, 2), np.inf)
+    said = (
+        np.array([known.get(number, nowhere).mean(axis=0) for number in markers.ids.tolist()]) / board.square_mm - 0.5
+    )
+    wrong = in_square & (np.abs(said - middles).max(axis=1) > 0.5)
+    return int(wrong.sum()) >= 2 and float(wrong.mean()) > _CONTRADICTIONS
 
 
 def _measured(

@@ -1,5 +1,7 @@
 """The laser's spot on a board: in the board's blank window, or, without one, by difference with the laser off."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,7 @@ _LEAST = 0.15  # of the window: less of it in the image is no place to look
 _PAPER = 0.3  # quantile of the window's grey values that is paper, not spot, for certain
 _BRIGHT = 0.25  # of the way from the paper to the brightest: light of the laser
 _TOUCHED = 8  # px along the window's edge
+_FEWEST = 16  # pixels that hold a plane
 
 
 class SpotRefused(Exception):  # noqa: N818 - an answer with a reason, not an error
@@ -113,13 +116,13 @@ def _paper(x: NDArray, y: NDArray, values: Array) -> Array:
     dark = values <= np.quantile(values, _PAPER)
     level, spread = float(np.median(values[dark])), float(np.ptp(values[dark]))
     among = values < level + 3 * max(spread, 1e-12)
+    plane = np.array([level, 0.0, 0.0])
     for _ in range(3):
-        plane, *_ = np.linalg.lstsq(rows[among], values[among], rcond=None)
-        left = values - rows @ plane
-        usual = float(np.median(np.abs(left[among]))) / 0.6745
-        among = np.abs(left) < 4 * max(usual, 1e-12) + 1e-12
-        if among.sum() < 16:
+        if among.sum() < _FEWEST:
             break
+        plane = np.asarray(np.linalg.lstsq(rows[among], values[among], rcond=None)[0], dtype=np.float64)
+        left = np.abs(values - rows @ plane)
+        among = left < 4 * max(float(np.median(left[among])) / 0.6745, 1e-12)
     return plane
 
 
@@ -132,8 +135,6 @@ def _touches_edge(part: NDArray, seen: Mask) -> bool:
 
 
 def _moved(spot: Spot, by: Array) -> Spot:
-    from dataclasses import replace
-
     return replace(spot, points=spot.points + by, rejected=spot.rejected + by)
 
 
