@@ -128,11 +128,12 @@ _PANELS = {
 
 def accuracy_figure(rows: Sequence[AccuracyRow]) -> Figure:
     """Draw what the number of views, tilts and depths are worth."""
-    least, most = (_median(rows, "tilt", value, "f_relative") for value in _range(rows, "tilt"))
-    low, high = _range(rows, "tilt")
+    (low, high), (near, far) = _range(rows, "tilt"), _range(rows, "depths")
+    f = [100 * _median(rows, "tilt", value, "f_relative") for value in (low, high)]
+    offset = [_median(rows, "depths", value, "offset_mm") for value in (near, far)]
     heading = (
-        f"Tilt makes the focal length: {100 * least:.2g} % at {low:g} degrees, {100 * most:.2g} % at {high:g}; depths "
-        "make the beam's direction; lines: reported, crosses: RMS error of f"
+        f"Tilt makes f: {f[0]:.2g} % at {low:g}°, {f[1]:.2g} % at {high:g}°; depths make the offset: {offset[0]:.2g} "
+        f"mm at 1:{near:g}, {offset[1]:.2g} mm at 1:{far:g}; crosses: RMS error of f"
     )
     with figure(13.0, 4.6, heading) as made:
         grid = np.ravel(made.subplots(1, 3, sharey=True))

@@ -8,7 +8,7 @@ import scipy.stats
 
 from planeopt.board import Observations
 from planeopt.calibration.adjustment import Adjustment
-from planeopt.calibration.ladder import climb
+from planeopt.calibration.ladder import adjust_all
 from planeopt.calibration.model import Model
 from planeopt.estimation import solve
 from planeopt.plane import SpotPose
@@ -27,7 +27,7 @@ POSE = ("z_L", "p", "q")
 
 def fit_default(observations: Observations) -> Adjustment:
     """Adjust as `calibrate` does unless told otherwise: every term free, with what all cameras have in common."""
-    return climb(observations, Model(), None)[0]
+    return adjust_all(observations, Model())
 
 
 def truth_of(session: SimulatedSession) -> dict[str, float]:
