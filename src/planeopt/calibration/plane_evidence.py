@@ -18,6 +18,8 @@ _STEPS = 30
 _HALVINGS = 8
 # Of a step, in standard deviations of the result: a hundredth of one changes no conclusion.
 _CONVERGED = 1e-2
+# Of chi-squared: what a step may still promise where none that is tried keeps it.
+_STALLED = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +79,7 @@ class MostProbable:
     covariance: Array
     linear: Linearised
     steps: int
+    converged: bool
 
 
 def _linear(spots: Sequence[Spot], rig: Rig) -> Linearised | None:
@@ -116,28 +119,37 @@ def most_probable(spots: Sequence[Spot], prior: RigPrior) -> MostProbable | None
     prior : RigPrior
     """
     factor = np.asarray(np.linalg.cholesky(prior.allowed), dtype=np.float64)
+
+    def done(linear: Linearised, white: Array, triangle: Array, count: int, *, converged: bool) -> MostProbable:
+        half = np.asarray(np.linalg.solve(triangle.T, factor.T), dtype=np.float64)
+        return MostProbable(prior, prior.values + factor @ white, half.T @ half, linear, count, converged)
+
     white = np.zeros(len(prior.names))
     linear = _linear(spots, prior.rig)
+    if linear is None:
+        return None
     for count in range(1, _STEPS + 1):
-        if linear is None:
-            return None
         by_white = linear.by_rig @ factor
         # QR, not normal equations: an image that is sharp sees some directions 10^4 times as well as the prior.
         orthogonal, triangle = np.linalg.qr(np.vstack([by_white, np.eye(len(white))]))
         pull = orthogonal.T @ np.concatenate([linear.misfit, white])
         step = -np.asarray(np.linalg.solve(triangle, pull), dtype=np.float64)
-        if np.linalg.norm(triangle @ step) < _CONVERGED:
-            half = np.asarray(np.linalg.solve(triangle.T, factor.T), dtype=np.float64)
-            return MostProbable(prior, prior.values + factor @ white, half.T @ half, linear, count)
+        gain = float(np.sum((triangle @ step) ** 2))
+        if gain < _CONVERGED**2:
+            return done(linear, white, triangle, count, converged=True)
         cost = float(linear.misfit @ linear.misfit + white @ white)
-        linear, white = _shorter(spots, prior, factor, white, step, cost)
+        shorter = _shorter(spots, prior, factor, white, step, cost)
+        if shorter is None:
+            # Images that contradict each other leave so large misfits that their next order decides where it ends.
+            return done(linear, white, triangle, count, converged=gain < _STALLED)
+        linear, white = shorter
     return None
 
 
 def _shorter(
     spots: Sequence[Spot], prior: RigPrior, factor: Array, white: Array, step: Array, cost: float
-) -> tuple[Linearised | None, Array]:
-    """The first of a step, its half, its quarter, ... that is better."""
+) -> tuple[Linearised, Array] | None:
+    """The first of a step, its half, its quarter, ... that is better; None where none is."""
     for halved in range(_HALVINGS):
         tried = white + step / 2**halved
         try:
@@ -146,4 +158,4 @@ def _shorter(
             continue
         if linear is not None and linear.misfit @ linear.misfit + tried @ tried <= cost:
             return linear, tried
-    return None, white
+    return None

@@ -289,6 +289,8 @@ def _outcome(found: MostProbable, tests: tuple[PartTest, ...], rig: Rig, moves: 
         return Outcome.TOO_FAR
     if failed:
         return Outcome.DISAGREE
+    if not found.converged:
+        return Outcome.NOT_CONVERGED
     if not moves.none:
         by_free = seen_by(rig, found.prior.names)
         allowed, left = (by_free @ covariance @ by_free.T for covariance in (found.prior.allowed, found.covariance))
@@ -335,7 +337,7 @@ def _first_left(before: Drift) -> str:
 
 
 def _reasons(outcome: Outcome, tests: tuple[PartTest, ...], worst: tuple[int, ...]) -> str:
-    if outcome is Outcome.NOT_FIXED:
+    if outcome in (Outcome.NOT_FIXED, Outcome.NOT_CONVERGED):
         return ""
     failed = [f"{test.part.name.lower()}: {_numbers(test)}" for test in tests if not test.ok]
     words = [f"{'; '.join(failed)}."]
