@@ -24,6 +24,8 @@ DICTIONARIES = (
 )
 """OpenCV's predefined dictionaries; of nested ones the smaller first."""
 
+_ERRORS_ONLY = 2  # of OpenCV's log levels
+
 
 @dataclass(frozen=True, eq=False)
 class Markers:
@@ -87,13 +89,14 @@ def _charuco_board(board: Board) -> Any:
     side = float(np.sqrt(board.square_mm[0] * board.square_mm[1]))
     marker = min(board.marker_mm, 0.999 * side)
     ids = np.arange(board.first_id, board.first_id + board.marker_count, dtype=np.int32)
-    # It remarks upon narrow margins on standard error.
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
+    # It remarks upon narrow margins on standard error. OpenCV 4.10 keeps the level of its log elsewhere.
+    log: Any = getattr(cv2.utils, "logging", cv2)
+    level = log.getLogLevel()
+    log.setLogLevel(_ERRORS_ONLY)
     try:
         made = cv2.aruco.CharucoBoard(board.squares, side, marker, _dictionary(board.dictionary), ids)
     finally:
-        cv2.utils.logging.setLogLevel(level)
+        log.setLogLevel(level)
     made.setLegacyPattern(board.legacy)
     return made
 

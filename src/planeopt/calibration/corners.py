@@ -111,13 +111,14 @@ def _first_map(found: Found, board: Board, size: tuple[int, int]) -> BoardImage 
     there = np.array([number in known for number in found.markers.ids.tolist()], dtype=np.bool_)
     places = np.array([known[number] for number in found.markers.ids[there].tolist()]).reshape(-1, 4, 2)
     fours = found.markers.corners[there]
+    printed = board.printed[found.ids]
     # Where markers are of another size than said their middles still lie where they should.
     for points, pixels in (
         (places.reshape(-1, 2), fours.reshape(-1, 2)),
         (places.mean(axis=1), fours.mean(axis=1)),
     ):
-        points = np.concatenate([board.corners[found.ids], points])
-        pixels = np.concatenate([found.corners, pixels])
+        points = np.concatenate([board.corners[found.ids][printed], points])
+        pixels = np.concatenate([found.corners[printed], pixels])
         mapped = fit_board_image(points, pixels, size, board.square_mm)
         if mapped is None or mapped.mirrored or np.mean(mapped.fits(points, pixels)) < _MOST:
             continue
