@@ -26,20 +26,21 @@ def correlations(adjustment: AdjustmentRecord) -> Picture:
     n = len(names)
     with page_figure(min(PAGE_WIDTH, 1.2 + 0.52 * n), 0.75 + 0.4 * n) as figure:
         axes = figure.subplots()
-        drawn = axes.imshow(found, cmap="RdBu", vmin=-1, vmax=1, aspect="auto")
+        shown = axes.imshow(found, cmap="RdBu", vmin=-1, vmax=1, aspect="auto")
         for row in range(n):
             for column in range(n):
                 value = found[row, column]
                 if row != column:
                     text = f"{value:+.2f}".replace("0.", ".", 1) if abs(value) < _ALL_BUT_ONE else f"{value:+.3f}"
                     colour = "white" if abs(value) > _DARK else "black"
-                    axes.text(column, row, text, ha="center", va="center", fontsize=7, color=colour)
+                    drawn = axes.text(column, row, text, ha="center", va="center", fontsize=7, color=colour)
+                    drawn.set_in_layout(False)  # it lies within the axes: the layout need not measure each
         axes.set_xticks(range(n), names)
         axes.set_yticks(range(n), names)
         axes.xaxis.tick_top()
         axes.tick_params(length=0)
         axes.spines[:].set_visible(False)
-        figure.colorbar(drawn, ax=axes, shrink=0.8, pad=0.02)
+        figure.colorbar(shown, ax=axes, shrink=0.8, pad=0.02)
         return picture(figure, "Matrix of the correlations between all parameters")
 
 
@@ -63,7 +64,7 @@ def cost(costs: tuple[CostRecord, ...]) -> Picture:
                 fill = colour if kind == "sigma" else "none"
                 axes.plot(values[kind], rows, marker, color=colour, mfc=fill, ms=6, mew=1.4)
             axes.set(xscale="log", xlabel=title)
-            axes.grid(True, axis="x", which="both")
+            axes.grid(True, axis="x")
         panels[0].set_yticks(rows, labels)
         handles = [
             Line2D([], [], color=DARK, marker="o", lw=0, label="joint covariance: what a plane is given"),

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from planeopt.calibration.ladder import LEVEL
 from planeopt.calibration.record import AdjustmentRecord, CalibrationFile
 from planeopt.report import calibration_tables as tables
 from planeopt.report.calibration_coverage import coverage, poses
@@ -94,7 +95,7 @@ def _directions(file: CalibrationFile, found: AdjustmentRecord) -> Iterator[Bloc
         known = "" if angle.sigma is None else f" ± {number(angle.sigma, angle.sigma)}"
         yield Text(
             f"The beam and the optical axis make an angle of {number(angle.value, angle.sigma)}{known} mrad: "
-            f"{'not parallel' if parallel.p_value < _LEVEL else 'parallel, as far as can be told'} "
+            f"{'not parallel' if parallel.p_value < LEVEL else 'parallel, as far as can be told'} "
             f"(F = {parallel.statistic:.3g}, p = {p_text(parallel.p_value)}, of its two components together)."
         )
     if divergence is not None and "divergence" in divergence.larger:
@@ -102,11 +103,8 @@ def _directions(file: CalibrationFile, found: AdjustmentRecord) -> Iterator[Bloc
         yield Text(
             f"Were its radius free to grow along it, the beam would diverge by {number(value, sigma)} ± "
             f"{number(sigma, sigma)} mrad, half angle (p = {p_text(divergence.p_value)}): "
-            f"{'it is not a cylinder' if divergence.p_value < _LEVEL else 'a cylinder, as far as can be told'}."
+            f"{'it is not a cylinder' if divergence.p_value < LEVEL else 'a cylinder, as far as can be told'}."
         )
-
-
-_LEVEL = 0.01
 
 
 def _strongest(found: AdjustmentRecord) -> tuple[str, float] | None:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from planeopt.report.calibration_words import CAPTIONS, NAMES
+from planeopt.report.calibration_words import CAPTIONS, NAMES, TERMS
 from planeopt.report.cells import DASH, cell, chance, pair, value_at
 from planeopt.report.content import Cell, Table, Tone
 from planeopt.report.words import decimals, fixed, number
@@ -87,8 +87,8 @@ def parameters(data: Data) -> Table:
     return Table("Values and intervals", columns, tuple(rows), CAPTIONS["parameters"], key="parameters")
 
 
-def _named(name: str) -> str:
-    return NAMES.get(name, name)
+def _named(name: str, names: Mapping[str, str] = NAMES) -> str:
+    return names.get(name, name)
 
 
 def _sigma(data: Data, key: str) -> Cell:
@@ -120,7 +120,12 @@ def tests(data: Data, at: str, names: Sequence[str], title: str, key: str) -> Ta
         one, here = value_at(data, f"{at}.{name}"), f"{at}.{name}"
         degrees = Cell(f"{fixed(one['dof'][0], 0)}, {fixed(one['dof'][1], 0)}", f"{here}.dof.0 {here}.dof.1")
         focal = [_with_sigma(data, f"{here}.{which}") for which in ("smaller", "larger")]
-        row = [Cell(one["name"]), Cell("yes" if one["used"] else "no"), digits(data, f"{here}.statistic"), degrees]
+        row = [
+            Cell(_named(one["name"], TERMS)),
+            Cell("yes" if one["used"] else "no"),
+            digits(data, f"{here}.statistic"),
+            degrees,
+        ]
         rows.append((*row, chance(data, f"{here}.p_value"), *focal, Cell(one["sentence"])))
     columns = ("", "used", "F", "degrees of freedom", "p", "f without (px)", "f with (px)", "")
     return Table(title, columns, tuple(rows), CAPTIONS[key], words=2, last_in_words=True, key=key)

@@ -1,10 +1,11 @@
 """What a calibration says at a terminal: its tables as texts."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Literal
 
+from planeopt.calibration.ladder import LEVEL
 from planeopt.calibration.record import AdjustmentRecord, CalibrationFile, ParameterRecord, TestRecord
-from planeopt.report.calibration_words import NAMES
+from planeopt.report.calibration_words import NAMES, TERMS
 from planeopt.report.words import number, p_text
 
 Columns = Sequence[tuple[str, Literal["left", "right"]]]
@@ -47,14 +48,14 @@ def _parameter(one: ParameterRecord) -> tuple[str, str, str, str]:
 
 def tests(file: CalibrationFile) -> TextTable:
     """Return the tests of the model."""
-    columns: Columns = (("term", "left"), ("free", "left"), ("F", "right"), ("p", "right"), ("", "left"))
-    return "tests", columns, [*_tests(file)]
+    columns: Columns = (("term", "left"), ("seen", "left"), ("free", "left"), ("F", "right"), ("p", "right"))
+    return "tests", columns, [_test(test) for test in (*file.ladder, *file.tests.values())]
 
 
-def _tests(file: CalibrationFile) -> Iterator[tuple[str, str, str, str, str]]:
-    found: list[TestRecord] = [*file.ladder, *file.tests.values()]
-    for test in found:
-        yield test.name, "yes" if test.used else "no", f"{test.statistic:.2f}", p_text(test.p_value), test.sentence
+def _test(test: TestRecord) -> tuple[str, str, str, str, str]:
+    seen = "yes" if test.p_value < LEVEL else "no"
+    chance = "0" if test.p_value == 0 else p_text(test.p_value)
+    return TERMS.get(test.name, test.name), seen, "yes" if test.used else "no", f"{test.statistic:.3g}", chance
 
 
 def conditions(file: CalibrationFile) -> TextTable:

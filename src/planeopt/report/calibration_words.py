@@ -42,6 +42,17 @@ NAMES = {
     "divergence_mrad": "beam's divergence, half angle (mrad)",
 }
 
+TERMS = {
+    "k1": "radial distortion k1",
+    "k2": "radial distortion k2",
+    "tangential": "tangential distortion p1, p2",
+    "k3": "radial distortion k3",
+    "warp": "bow of the board",
+    "aspect": "fx other than fy",
+    "parallel": "angle between beam and optical axis",
+    "divergence": "divergence of the beam",
+}
+
 VERDICTS = {
     "ok": "Good.",
     "degraded": "Usable with a reservation: read why before it is used.",
