@@ -10,9 +10,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from planeopt.calibration.routine import Options, calibrate
-from planeopt.calibration.detection import detect
-from planeopt.calibration.session import load_session
+from planeopt.calibration import Options, calibrate, detect, load_session
 from planeopt.errors import InputError
 from planeopt.executors import processes
 from planeopt.report.calibration_files import write_calibration
