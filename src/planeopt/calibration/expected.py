@@ -126,7 +126,8 @@ class Observer:
             # On a bowed board the boundary is a little elsewhere; its derivatives are not.
             found = linear_boundaries(self.board, seen.boundary, lit, state).linear
             steps = np.roll(seen.boundary, -1, axis=1) - np.roll(seen.boundary, 1, axis=1)
-            parts.append((found, self.boundary_weight * np.linalg.norm(steps, axis=-1) / 2 * lit))
+            length = np.asarray(np.linalg.norm(steps, axis=-1) / 2, dtype=np.float64)
+            parts.append((found, self.boundary_weight * length * lit))
         return joined(parts, self.selection).information
 
     def _pixels(self, placed: Array) -> tuple[Array, Mask]:

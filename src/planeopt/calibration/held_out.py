@@ -36,7 +36,7 @@ _SYSTEMATIC = 0.1
 """Of the expected error: what may be more than noise without harm."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Predicted:
     """Errors of predictions, and what they should be.
 
@@ -63,7 +63,7 @@ class Predicted:
         return self.error_px / self.expected_px if self.count else float("nan")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Fold:
     """Views that were left out of a calibration, and predicted by it.
 
@@ -88,7 +88,7 @@ class Fold:
     parameter: str
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class HeldOut:
     """How well parts of the observations predict others.
 
