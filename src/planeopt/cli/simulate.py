@@ -29,6 +29,9 @@ def simulate(
     The rig is written beside them (rig.toml), and the scene with all its keys (scene.toml), which gives the same images
     again. With laser_off in the scene there is an image without laser for each (dark_0001.png ...).
 
+    A scene with a [board] in place of a [plane] gives a session for `planeopt calibrate`: views of the board with the
+    spot on it (view_01.png ...), session.toml, board.toml, and the truth (truth_rig.toml, truth_board_poses.json).
+
     Parameters
     ----------
     scene
@@ -44,25 +47,53 @@ def simulate(
     """
     import msgspec
 
-    from planeopt.simulation import load_scene, scene_sources
+    from planeopt.simulation import is_board_scene, load_scene, scene_sources
 
-    loaded = load_scene(scene)
     if seed is not None and seed < 0:
         raise InputError(f"--seed must not be negative, but is {seed}")
+    if is_board_scene(scene):
+        _session(scene, output, seed, frames, force=force)
+        return 0
+    loaded = load_scene(scene)
     changes = {name: value for name, value in (("seed", seed), ("frames", frames)) if value is not None}
     loaded = msgspec.structs.replace(loaded, **changes)
-    written = {(output / name).resolve() for name in (RIG, SCENE)}
-    for source in scene_sources(scene):
-        if source.resolve() in written:
-            raise InputError(
-                f"{source}: is read in this run and would be written over; name another folder than {output}"
-            )
+    _keep(scene_sources(scene), output, (RIG, SCENE))
     with output_folder(output, force=force) as folder:
         try:
             _write(loaded, folder)
         except InputError as error:
             raise InputError(f"{scene}: {error}") from error
     return 0
+
+
+def _keep(sources: list[Path], output: Path, names: tuple[str, ...]) -> None:
+    """Refuse to write over what is read."""
+    written = {(output / name).resolve() for name in names}
+    for source in sources:
+        if source.resolve() in written:
+            raise InputError(
+                f"{source}: is read in this run and would be written over; name another folder than {output}"
+            )
+
+
+def _session(scene: Path, output: Path, seed: int | None, views: int | None, *, force: bool) -> None:
+    """Render a session of board views."""
+    from dataclasses import replace
+
+    from planeopt.simulation import board_scene_sources, load_board_session
+    from planeopt.simulation.board_files import BOARD, SESSION, TRUE_POSES, TRUE_RIG, write_session
+
+    loaded = load_board_session(scene)
+    if seed is not None:
+        loaded = replace(loaded, seed=seed)
+    if views is not None:
+        loaded = replace(loaded, shooting=replace(loaded.shooting, views=views))
+    _keep(board_scene_sources(scene), output, (SESSION, BOARD, TRUE_RIG, TRUE_POSES))
+    with output_folder(output, force=force) as folder:
+        try:
+            write_session(loaded.scene, loaded.poses(), folder, seed=loaded.seed, laser_off=loaded.laser_off)
+        except InputError as error:
+            raise InputError(f"{scene}: {error}") from error
 
 
 def _write(scene: "Scene", folder: Path) -> None:

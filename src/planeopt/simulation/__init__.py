@@ -12,6 +12,7 @@ from planeopt.simulation.board_faults import (
     stretched,
     wrong_scale_session,
 )
+from planeopt.simulation.board_files import write_session
 from planeopt.simulation.board_look import BoardSurface
 from planeopt.simulation.board_random import (
     Setting,
@@ -23,6 +24,12 @@ from planeopt.simulation.board_random import (
     tilted,
 )
 from planeopt.simulation.board_render import BoardScene, board_light, render_board, render_session
+from planeopt.simulation.board_scene_file import (
+    BoardSession,
+    board_scene_sources,
+    is_board_scene,
+    load_board_session,
+)
 from planeopt.simulation.board_sessions import SimulatedSession, board_views, simulated_session
 from planeopt.simulation.board_views import BoardPoses, BoardView
 from planeopt.simulation.file import load_scene, save_scene, scene_sources
@@ -36,6 +43,7 @@ __all__ = [
     "BeamProfile",
     "BoardPoses",
     "BoardScene",
+    "BoardSession",
     "BoardSurface",
     "BoardView",
     "Clutter",
@@ -52,6 +60,7 @@ __all__ = [
     "Sweep",
     "aimed",
     "board_light",
+    "board_scene_sources",
     "board_views",
     "boundary_distances",
     "bowed_session",
@@ -59,6 +68,8 @@ __all__ = [
     "frame",
     "frames",
     "frontal_session",
+    "is_board_scene",
+    "load_board_session",
     "load_scene",
     "long_session",
     "mirrored_session",
@@ -79,5 +90,6 @@ __all__ = [
     "stretched",
     "tilted",
     "true_record",
+    "write_session",
     "wrong_scale_session",
 ]
