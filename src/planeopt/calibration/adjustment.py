@@ -33,7 +33,7 @@ CONVERGED = 0.01
 """Standard deviations that the least cost may be away."""
 
 _ROUNDS = 5  # of weights that depend on residuals that depend on weights
-_SETTLED = 1e-4  # of a factor of the sigmas
+_SETTLED = 1e-3  # of a factor of the sigmas: it is known to a percent or so
 _MAY_VANISH = ("k1", "k2", "p1", "p2", "k3", "warp_x", "warp_y", "direction_x", "direction_y", "divergence")
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from planeopt.calibration.equations import AdjustmentError, Equations, Task, Weights, descend, equations
 from planeopt.calibration.model import RUNGS, Model, Rung
 from planeopt.calibration.noise import corner_norms, robust_noise, weights_given
+from planeopt.calibration.packed import Packed
 from planeopt.calibration.start import other_poses, pose_views, start_beam, start_camera
 from planeopt.calibration.state import State
 from planeopt.errors import InputError
@@ -18,6 +19,9 @@ Array = NDArray[np.float64]
 
 _log = logging.getLogger(__name__)
 
+_ENOUGH = 40  # views that tell a camera well enough to start from
+_A_FEW = 8  # steps after which the better of two poses is the better one
+_STAIRS: tuple[Rung, ...] = ("none", "k1")
 _TURNED: Rung = "k1"
 """The rung on which the boards' other poses are tried: without k1 the better one may be the wrong one."""
 
@@ -38,17 +42,32 @@ def approach(task: Task, held: Rig | None) -> State:
         If a view has too few corners, or no spot is an ellipse.
     """
     packed, model = task.packed, task.model
-    state = start_camera(packed) if held is None else pose_views(packed, held.camera, _rest(held))
     if held is None and model.camera:
-        # Rung by rung: what a rung finds is a good start for the next, and from afar k2 or k3 may fold the image.
-        for rung in RUNGS[: RUNGS.index(model.distortion) + 1]:
-            simple = Task(packed, Model(distortion=rung, warp=False, beam="none"), with_spots=False)
-            state = _climbed(simple, state)
-            if rung == _TURNED or rung == model.distortion == "none":
-                state = _turned(simple, state)
+        state = _camera(packed, model)
+    else:
+        state = start_camera(packed) if held is None else pose_views(packed, held.camera, _rest(held))
     if model.beam != "none" and (held is None or held.beam is None):
         state = start_beam(packed, state, free=model.beam == "free")
     return state
+
+
+def _camera(packed: Packed, model: Model) -> State:
+    """Return camera and poses, from no more views than it takes: the others follow from the camera."""
+    rows = np.unique(np.linspace(0, len(packed) - 1, _ENOUGH).round().astype(np.intp))
+    some = packed.some(rows)
+    state = start_camera(some)
+    # By rungs: what a rung finds is a good start for the next, and from afar k2 or k3 may fold the image.
+    target = RUNGS.index(model.distortion)
+    stairs: list[Rung] = [rung for rung in _STAIRS if RUNGS.index(rung) < target]
+    for rung in (*stairs, model.distortion):
+        simple = Task(some, Model(distortion=rung, warp=False, beam="none"), with_spots=False)
+        state = _climbed(simple, state)
+        if rung == _TURNED or rung == model.distortion == "none":
+            state = _climbed(simple, _turned(simple, state))
+    if len(rows) == len(packed):
+        return state
+    every = Task(packed, Model(camera=False, warp=False, beam="none"), with_spots=False)
+    return _turned(every, _climbed(every, pose_views(packed, state.camera, state.values[9:])))
 
 
 def _climbed(task: Task, state: State) -> State:
@@ -65,7 +84,7 @@ def _turned(task: Task, state: State) -> State:
     weights = robust_noise(task, here).weights(given)
     poses = Task(task.packed, Model(camera=False, warp=False, beam="none"), with_spots=False)
     try:
-        other = descend(poses, other_poses(task.packed, state), weights, huber=True).here
+        other = descend(poses, other_poses(task.packed, state), weights, huber=True, most_steps=_A_FEW).here
     except (AdjustmentError, InputError) as error:
         _log.debug("the boards' other poses lead nowhere: %s", error)
         return state
@@ -73,12 +92,11 @@ def _turned(task: Task, state: State) -> State:
     if not np.any(better):
         return state
     _log.debug("%d boards turned to their other pose", np.count_nonzero(better))
-    turned = replace(
+    return replace(
         state,
         rotations=np.where(better[:, None, None], other.state.rotations, state.rotations),
         translations=np.where(better[:, None], other.state.translations, state.translations),
     )
-    return _climbed(task, turned)
 
 
 def _misfits(found: Equations, weights: Weights) -> Array:

@@ -25,7 +25,8 @@ _ROUGH = 0.02
 _ROUGH_STEPS = 40
 _NEAR = 0.3
 """The same, where the way down is nearly straight."""
-_DAMPING = 1e-3, 1e-15, 1e12  # at first, least, most
+_DAMPING = 1e-15, 1e12  # least, most
+_FIRST_DAMPING = 1e-3, 1e-8  # from afar, from nearby
 _HUBER = 2.0  # standard deviations
 
 
@@ -181,7 +182,9 @@ class Descent:
     left: float
 
 
-def descend(task: Task, state: State, weights: Weights, *, huber: bool = False) -> Descent:
+def descend(
+    task: Task, state: State, weights: Weights, *, huber: bool = False, most_steps: int | None = None
+) -> Descent:
     """Go down to the least cost, by Levenberg's and Marquardt's method.
 
     With Huber's loss this only leads into the neighbourhood: to a small part of a standard deviation, or as far as a
@@ -195,6 +198,8 @@ def descend(task: Task, state: State, weights: Weights, *, huber: bool = False) 
     weights : Weights
     huber : bool
         As in `equations`.
+    most_steps : int, optional
+        Where it is enough to see what becomes of it.
 
     Returns
     -------
@@ -211,9 +216,11 @@ def descend(task: Task, state: State, weights: Weights, *, huber: bool = False) 
         here = equations(task, state, weights, huber=huber)
     except InputError as error:
         raise AdjustmentError(f"The adjustment cannot start: {error}.") from error
-    damping, least, most = _DAMPING
+    least, most = _DAMPING
     left = _left(here)
     steps, close = (_ROUGH_STEPS, _ROUGH) if huber else (_STEPS, _CONVERGED)
+    damping = _FIRST_DAMPING[not huber]
+    steps = steps if most_steps is None else most_steps
     count = 0
     while count < steps and left >= close and damping <= most:
         count += 1

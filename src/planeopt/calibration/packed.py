@@ -51,6 +51,19 @@ class Packed:
         """Which views (V,) have a spot."""
         return np.asarray(self.boundary_seen.any(axis=1), dtype=np.bool_)
 
+    def some(self, rows: NDArray[np.intp]) -> "Packed":
+        """Return some of the views."""
+        return Packed(
+            self.board,
+            self.image_size,
+            self.corners[rows],
+            self.corner_sigma[rows],
+            self.corner_seen[rows],
+            self.boundary[rows],
+            self.boundary_sigma[rows],
+            self.boundary_seen[rows],
+        )
+
     @classmethod
     def of(cls, observations: Observations) -> "Packed":
         """Return the observations as arrays; boundaries whose `sigma` is not known get one pixel."""
