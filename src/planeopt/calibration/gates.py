@@ -9,25 +9,30 @@ import numpy as np
 from planeopt.board import Observations
 from planeopt.calibration import gates_fit, gates_poses, gates_seen
 from planeopt.calibration.adjustment import Adjustment, adjust
-from planeopt.calibration.equations import AdjustmentError
+from planeopt.calibration.equations import AdjustmentError, Prior
 from planeopt.calibration.gate import Gate, at_most
 from planeopt.calibration.gates_seen import Image
 from planeopt.calibration.ladder import Tested
-from planeopt.calibration.model import Model
+from planeopt.calibration.model import FULL, Model
 from planeopt.calibration.null_direction import NullDirection, null_directions
-from planeopt.calibration.start import LEAST_CORNERS
+from planeopt.calibration.packed import Packed
+from planeopt.calibration.start import LEAST_CORNERS, pose_views
 from planeopt.errors import InputError
-from planeopt.rig import Camera, Rig, RigCovariance
+from planeopt.rig import Camera
 
 _log = logging.getLogger(__name__)
 
-CAMERA_CONDITION = 2000.0, 1e4
-"""Good sessions have 70 to 500, more the longer the lens; see `tests/test_calibration_gates_limits.py`."""
+CAMERA_CONDITION = 3000.0, 1e4
+"""200 good sessions had 80 to 2000, half of them under 310, more the longer the lens; frontal ones have over 1e4."""
 BEAM_CONDITION = 50.0, 1e3
-"""About twice the distance over its spread: good sessions have 9 to 16, one depth 100 to 250."""
+"""About twice the distance over its spread: 200 good sessions had 8 to 24, sessions at one depth have 100 to 250."""
 
-_LOOSE = 0.5, 0.1
-"""Of a camera that is only to tell the tilts: sigma of f over f, of cx and cy over the image's width."""
+_ORDINARY = 1.5
+_LOOSE = 0.15, 0.1, 0.1
+"""Of a camera that is only to tell the tilts: f over the image's larger side; sigma of f over f, of cx and cy over the
+image's width, of the distortion at the image's corner over its radius. Tilted views overrule it; without them f must
+not run off to where there is no perspective."""
+_HOPELESS_DEG = 3.0
 
 
 def judge(
@@ -104,6 +109,12 @@ def judge_unadjusted(
     )
 
 
+def hopelessly_frontal(observations: Observations) -> bool:
+    """Whether no view is tilted by as much as 3 degrees: an adjustment would run off with the focal length, slowly."""
+    loose = _loosely_adjusted(observations)
+    return loose is not None and float(gates_poses.tilts(loose.state).max()) < _HOPELESS_DEG
+
+
 def _seen(observations: Observations, images: Sequence[Image], used: Sequence[bool] | None) -> tuple[Gate | None, ...]:
     return (
         gates_seen.image_gate(images),
@@ -125,15 +136,17 @@ def _loosely_adjusted(observations: Observations) -> Adjustment | None:
     if not observations.views:
         return None
     width, height = observations.image_size
-    f = 1.5 * max(width, height)
-    middle = (width - 1) / 2, (height - 1) / 2
-    spread = np.array([_LOOSE[0] * f, _LOOSE[1] * width, _LOOSE[1] * width])
-    prior = Rig(
-        Camera(observations.image_size, f, f, *middle, (0.0, 0.0, 0.0, 0.0, 0.0)),
-        covariance=RigCovariance(("f", "cx", "cy"), np.diag(spread**2)),
-    )
+    f = _ORDINARY * max(width, height)
+    ordinary = np.array([f, (width - 1) / 2, (height - 1) / 2, 0.0])
+    corner = np.hypot(width, height) / 2 / f
+    spread = np.array([_LOOSE[0] * f, _LOOSE[1] * width, _LOOSE[1] * width, _LOOSE[2] / corner**2])
+    prior = Prior(("f", "cx", "cy", "k1"), ordinary, np.diag(spread**-2))
+    camera = Camera(observations.image_size, f, f, (width - 1) / 2, (height - 1) / 2, (0.0, 0.0, 0.0, 0.0, 0.0))
+    beamless = Model(distortion="k1", warp=False, beam="none")
     try:
-        return adjust(replace(observations, spot="none"), Model(distortion="k1", warp=False, beam="none"), prior=prior)
+        # From an ordinary camera: what is looked for without the prior may have run off already.
+        start = pose_views(Packed.of(observations), camera, np.zeros(len(FULL) - 9))
+        return adjust(replace(observations, spot="none"), beamless, prior=prior, start=start)
     except (AdjustmentError, InputError) as error:
         _log.debug("no poses either with a camera that is known loosely: %s", error)
         return None

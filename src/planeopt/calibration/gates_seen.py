@@ -50,7 +50,9 @@ def image_gate(images: Sequence[Image]) -> Gate | None:
     heads = Counter(image.reason.split(". ")[0].rstrip(".") for image in refused)
     head, count = heads.most_common(1)[0]
     named = names([image.name for image in refused])
-    state = "refuse" if share >= _COMMON else "warn" if share > _MOST_REFUSED else "ok"
+    # What is left may be enough for a calibration all the same.
+    lost = share >= _COMMON and len(images) - len(refused) < VIEWS_WANTED
+    state = "refuse" if lost else "warn" if share > _MOST_REFUSED else "ok"
     told = f"{len(refused)} of {len(images)} images could not be used ({named})"
     if count > _COMMON * len(refused) or len(refused) == 1:
         whole = next(image.reason for image in refused if image.reason.startswith(head)).rstrip(".")
@@ -59,10 +61,12 @@ def image_gate(images: Sequence[Image]) -> Gate | None:
     return Gate("images", state, share, limits, f"{told}, for several reasons: {reasons}.")
 
 
-def mirror_gate(observations: Observations) -> Gate:
+def mirror_gate(observations: Observations) -> Gate | None:
     """Judge whether the views show the board's face and not its mirror image."""
+    if not observations.views:
+        return None
     mirrored = [view.name for view in observations.views if len(view) >= 3 and _turn(observations, view) < 0]
-    share = len(mirrored) / max(len(observations.views), 1)
+    share = len(mirrored) / len(observations.views)
     limits = (0.0, 0.0)
     if not mirrored:
         return Gate("mirror", "ok", 0.0, limits, "The board is seen from its printed side in every view.")
