@@ -107,9 +107,9 @@ def _noise(adjustment: Adjustment) -> NoiseRecord:
     seen = sum(len(view) for view in adjustment.observations.views)
     spots = int(np.count_nonzero(adjustment.spot_used))
     return NoiseRecord(
-        corner_sigma_px=adjustment.corner_sigma,
-        corner_factor=adjustment.noise.corners,
-        spot_factor=adjustment.noise.spots,
+        corner_sigma_px=float(adjustment.corner_sigma),
+        corner_factor=float(adjustment.noise.corners),
+        spot_factor=float(adjustment.noise.spots),
         chi2_corners=float(adjustment.chi2_corners),
         dof_corners=float(adjustment.dof_corners),
         chi2_spots=float(adjustment.chi2_spots),
