@@ -18,7 +18,7 @@ from planeopt.calibration.board_check import (
 )
 from planeopt.calibration.rig_evidence import Extra, RigEvidence, found_from, noncentrality
 from planeopt.errors import InputError
-from planeopt.rig import Rig
+from planeopt.rig import Rig, RigCovariance
 from planeopt.simulation.board_random import Setting, Shooting, random_session
 from planeopt.simulation.board_sessions import SimulatedSession, simulated_session
 
@@ -134,6 +134,22 @@ def test_the_change_that_is_said_to_be_found_is_found(calibrated: Rig, later: di
     rng = np.random.default_rng(10)
     found = [not check_board(seen(true, later[3], 20 + number), drawn(calibrated, rng)).ok for number in range(12)]
     assert sum(found) >= 7
+
+
+def test_what_the_calibration_held_fixed_is_tested(calibrated: Rig, later: dict[int, SimulatedSession]) -> None:
+    """A second focal length, where the calibration had one: no change of what was free explains it, and it is named."""
+    true = replace(calibrated, covariance=None).with_parameters({"fy": calibrated.camera.fy * 1.005})
+    result = check_board(seen(true, later[6], 17), calibrated)
+    assert not next(test for test in result.tests if test.part is BoardPart.REST).ok
+    assert "Held fixed were fy" in result.verdict
+    covariance = calibrated.covariance
+    assert covariance is not None
+    row = covariance.parameters.index("f")
+    names = ("fx", "fy", *(name for name in covariance.parameters if name != "f"))
+    rows = [row, row, *(at for at in range(len(covariance.parameters)) if at != row)]
+    matrix = covariance.matrix[np.ix_(rows, rows)] + np.diag([0.1, 0.1, *np.zeros(len(rows) - 2)])
+    separate = replace(calibrated, covariance=RigCovariance(names, matrix))
+    assert check_board(seen(calibrated, later[3], 18), separate).ok
 
 
 def test_views_without_a_spot_test_the_camera_and_say_so(calibrated: Rig, later: dict[int, SimulatedSession]) -> None:

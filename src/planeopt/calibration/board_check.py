@@ -64,7 +64,7 @@ class BoardPart(Enum):
 
     POOLED = "The views together contradict the rig."
     SHIFT = "The rig's parameters are not those of the file."
-    REST = "The lens differs from the rig file's in what its calibration held fixed."
+    REST = "The rig differs from its file in what the calibration held fixed."
     SPOTS = "The spots' boundaries have misfits that no change of the rig explains: the points, or their sigma."
 
 
@@ -316,7 +316,7 @@ def _judged(fit: Adjustment, rig: Rig, basis: Basis) -> BoardCheck:
         _untested_words(changes, basis, fit),
         fit,
     )
-    return replace(result, verdict=_verdict(result, rig))
+    return replace(result, verdict=_verdict(result, rig, basis.fixed))
 
 
 def _measured(
@@ -434,9 +434,11 @@ def _untested_words(changes: Sequence[BoardChange], basis: Basis, fit: Adjustmen
     return " ".join([*words, UNTESTED])
 
 
-def _verdict(result: BoardCheck, rig: Rig) -> str:
+def _verdict(result: BoardCheck, rig: Rig, fixed: Sequence[str]) -> str:
     words = [f"{result.state.name}: {result.state.value}"]
     words += [f"{test.part.value.removesuffix('.')} ({_numbers(test)})." for test in result.tests if not test.ok]
+    if any(test.part is BoardPart.REST and not test.ok for test in result.tests):
+        words.append(f"Held fixed were {', '.join(fixed)}.")
     if result.causes:
         words.append(f"What explains it: {'; '.join(map(_cause, result.causes))}.")
     if result.instead:

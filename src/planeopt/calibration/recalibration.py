@@ -104,8 +104,7 @@ class Moves:
 class Updated:
     """One number before and after.
 
-    `sigmas` is the change in standard deviations: of one of the four numbers that images see, those of the change that
-    an unmoved rig would give; of a parameter, those of the calibration (of the update, where it was not free).
+    `sigmas` is the change in standard deviations of the change that an unmoved rig would give.
     """
 
     name: str
@@ -303,27 +302,27 @@ _UNITS = {"f": "px", "fx": "px", "fy": "px", "cx": "px", "cy": "px", "e_x": "mm"
 
 
 def _parameters(found: MostProbable) -> tuple[Updated, ...]:
-    old, new = (np.sqrt(np.diagonal(matrix)) for matrix in (found.prior.calibrated, found.covariance))
     labels = [(name, _UNITS.get(name, "1")) for name in found.prior.names]
-    return _updated(labels, found.prior.values, found.values, old, new, np.where(old > 0, old, new))
+    return _updated(labels, found.prior.values, found.values, found, np.eye(len(labels)))
 
 
 def _seen(found: MostProbable, rig: Rig) -> tuple[Updated, ...]:
-    by_free = seen_by(rig, found.prior.names)
+    return _updated(SEEN_NUMBERS, seen(found.prior.rig), seen(rig), found, seen_by(rig, found.prior.names))
+
+
+def _updated(
+    labels: Sequence[tuple[str, str]], before: Array, after: Array, found: MostProbable, by_free: Array
+) -> tuple[Updated, ...]:
+    """Rows of numbers whose derivative by what is free is (n, k)."""
     # Where the rig is as calibrated the change is that of a gain K: K (I + G Sigma G') K'.
     gain = found.covariance @ found.linear.by_rig.T
     moved = gain @ found.linear.by_rig
     expected = gain @ gain.T + moved @ found.prior.calibrated @ moved.T
-    covariances = (found.prior.calibrated, found.covariance, expected)
-    sigmas = [np.sqrt(np.einsum("ij,jk,ik->i", by_free, covariance, by_free)) for covariance in covariances]
-    return _updated(SEEN_NUMBERS, seen(found.prior.rig), seen(rig), *sigmas)
-
-
-def _updated(
-    labels: Sequence[tuple[str, str]], before: Array, after: Array, old: Array, new: Array, expected: Array
-) -> tuple[Updated, ...]:
-    expected = np.maximum(expected, np.finfo(float).tiny)
-    columns = (before, old, after, new, (after - before) / expected)
+    old, new, usual = (
+        np.sqrt(np.einsum("ij,jk,ik->i", by_free, covariance, by_free))
+        for covariance in (found.prior.calibrated, found.covariance, expected)
+    )
+    columns = (before, old, after, new, (after - before) / np.maximum(usual, np.finfo(np.float64).tiny))
     rows = zip(*(column.tolist() for column in columns), strict=True)
     return tuple(Updated(name, unit, *row) for (name, unit), row in zip(labels, rows, strict=True))
 
@@ -365,7 +364,9 @@ def _message(result: Recalibration) -> str:
     words.append(f"Changed: {changes}.")
     if any(row.sigma_after > row.sigma_before > 0 for row in result.seen):
         words.append(
-            "Some of these are known less well than the calibration had them, since the beam was allowed to have "
-            "moved: take more images, or allow for no move."
+            "Unless something else says that the beam has moved, keep the old file, which knows some of these better, "
+            "or allow for no move."
+            if result.before.ok
+            else "Some of these are known less well than they were calibrated: more images would help."
         )
     return " ".join(words)
