@@ -83,7 +83,7 @@ def spot_fit_gate(adjustment: Adjustment) -> Gate | None:
         return None
     rms = float(np.sqrt(np.mean(np.concatenate(kept) ** 2)))
     state = at_most(rms, *_BOUNDARY_PX)
-    told = f"The spots' boundaries lie {rms:.2f} px (RMS) from those of one straight beam of constant radius"
+    told = f"The spots' boundaries lie {rms:.2g} px (RMS) from those of one straight beam of constant radius"
     left_out = [
         view.name
         for view, used in zip(adjustment.observations.views, adjustment.spot_used, strict=True)
@@ -145,7 +145,7 @@ def _proportion_gate(adjustment: Adjustment) -> Gate:
 
 
 def _percent(share: float, sigma: float) -> str:
-    return f"{100 * share:+.3f} +- {100 * sigma:.3f} %"
+    return f"{100 * share:+.2g} +- {100 * sigma:.2g} %"
 
 
 def _expected_gate(adjustment: Adjustment, name: str, stated: float, tolerance: float) -> Gate:
@@ -204,7 +204,10 @@ def bow_gate(adjustment: Adjustment, tests: Mapping[str, Tested]) -> Gate | None
     test = tests.get("warp")
     chance = test.p_value if test is not None else _bow_chance(adjustment)
     told = f"The board is bowed by {along_x:+.2f} mm along x and {along_y:+.2f} mm along y (F-test: {_chance(chance)})"
-    if bow <= limit or chance > _CHANCE:
+    if chance > _CHANCE:
+        told = f"No bow of the board is seen: {along_x:+.2g} mm along x, {along_y:+.2g} mm along y ({_chance(chance)})"
+        return Gate("board bow", "ok", bow, (limit, None), f"{told}.")
+    if bow <= limit:
         return Gate("board bow", "ok", bow, (limit, None), f"{told}; that is compensated.")
     return Gate(
         "board bow",
@@ -232,14 +235,14 @@ def residual_gate(adjustment: Adjustment) -> Gate:
     sigma = adjustment.corner_sigma
     state = at_most(sigma, *_CORNERS_PX)
     rms = np.sqrt(2) * sigma
-    told = f"Corners scatter by {sigma:.2f} px in x and in y (other programs would call it an RMS of {rms:.2f} px)"
+    told = f"Corners scatter by {sigma:.2g} px in x and in y (other programs would call it an RMS of {rms:.2g} px)"
     if state == "ok":
         return Gate(
             "residuals",
             "ok",
             sigma,
             _CORNERS_PX,
-            f"{told}; 0.02 to 0.3 px is good.",
+            f"{told}; up to 0.3 px is good.",
             symptom=True,
         )
     return Gate(
@@ -247,7 +250,7 @@ def residual_gate(adjustment: Adjustment) -> Gate:
         state,
         sigma,
         _CORNERS_PX,
-        f"{told}: more than corners can be mislocated, 0.02 to 0.3 px is good. The images are blurred, board or camera "
+        f"{told}: more than corners can be mislocated; up to 0.3 px is good. The images are blurred, board or camera "
         "moved, the board's file is not this board's, or the board is not flat. Do not drop views until it looks fine: "
         "find which of these it is.",
         symptom=True,
