@@ -39,6 +39,14 @@ def test_one_depth_is_beyond_and_named(seed: int):
     assert "distances" in beam.cure
 
 
+def test_the_beam_is_told_as_the_logarithm_of_the_ratio_of_distances():
+    """From which the limit of the spot's distances is taken; the extent of the spot itself helps at small ratios."""
+    conditions = [camera_and_beam(shot(2, depth_ratio=ratio))[1] for ratio in (2.0, 1.5, 1.3)]
+    expected = conditions[0] * np.log(2.0) / np.log([2.0, 1.5, 1.3])
+    # Distances are drawn, evenly but for chance, and tilted spots are long.
+    np.testing.assert_allclose(conditions, expected, rtol=0.3)
+
+
 def test_little_tilt_leaves_the_focal_length_against_the_distance():
     conditions = []
     for tilt in (40.0, 6.0, 3.0):

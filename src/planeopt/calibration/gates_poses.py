@@ -20,7 +20,7 @@ _TILTED_AT_ALL = 10.0
 
 RATIO_WANTED = 1.5
 _RATIO_WARNED = 1.3
-"""Direction and offset are told apart as the spread of the logarithm of the distance: ln q / sqrt(12) for an even spread
+"""Direction and offset are told apart as the spread of the logarithm of the distance: ln q / sqrt(12) where it is even
 over a ratio q. At 1.3 the direction is known 1.5 times worse than at 1.5, as badly as in the worst of 200 good sessions
 with more; at 1.1 four times."""
 _RATIO_NEEDED = 1.1
