@@ -379,7 +379,7 @@ class _Job:
 def _near(job: _Job, state: State) -> State:
     """Return the state at the least of Huber's loss, whose scale is that of the residuals' medians."""
     given = weights_given(job.task.packed)
-    for _ in range(2):
+    for _ in range(2 if job.noise is None else 1):
         noise = robust_noise(job.task, equations(job.task, state, given)) if job.noise is None else job.noise
         state = descend(job.task, state, noise.weights(given), huber=True).here.state
     return state

@@ -23,6 +23,8 @@ _CONVERGED = 1e-7
 _ROUGH = 0.02
 """The same, where only the neighbourhood is wanted."""
 _ROUGH_STEPS = 40
+_LEVEL, _LEVEL_STEPS = 1e-7, 8
+"""The way is level where the cost falls by no more than this share of it in so many steps on end."""
 _NEAR = 0.3
 """The same, where the way down is nearly straight."""
 _DAMPING = 1e-15, 1e12  # least, most
@@ -221,14 +223,15 @@ def descend(
     steps, close = (_ROUGH_STEPS, _ROUGH) if huber else (_STEPS, _CONVERGED)
     damping = _FIRST_DAMPING[not huber]
     steps = steps if most_steps is None else most_steps
-    count = 0
-    while count < steps and left >= close and damping <= most:
+    count = level = 0
+    while count < steps and left >= close and damping <= most and level < _LEVEL_STEPS:
         count += 1
         trial = _try(task, here, damping, weights, huber)
         after = np.inf if trial is None else _left(trial)
         # A spot's distances are to first order in their own length: where they no longer move, their cost still slopes
         # by the second, and the shorter step is the better sign.
         if trial is not None and (trial.cost < here.cost or (left < _NEAR and after < left)):
+            level = level + 1 if here.cost - trial.cost < _LEVEL * here.cost else 0
             here, damping, left = trial, max(damping / 10, least), after
         else:
             damping *= 10

@@ -9,12 +9,12 @@ from typing import Literal
 
 import numpy as np
 
-from planeopt.board import Observations
+from planeopt.board import Board, Observations, View
 from planeopt.calibration.adjustment import Adjustment, adjust
 from planeopt.calibration.detection import Detected, ImageStatus, detect
 from planeopt.calibration.equations import AdjustmentError
 from planeopt.calibration.gate import Gate, Verdict, verdict
-from planeopt.calibration.gates import judge, judge_unadjusted
+from planeopt.calibration.gates import hopelessly_frontal, judge, judge_unadjusted
 from planeopt.calibration.held_out import HeldOut, held_out
 from planeopt.calibration.ladder import Tested, climb, compare_terms
 from planeopt.calibration.model import RUNGS, BeamModel, Focal, Model, Rung
@@ -30,6 +30,12 @@ _log = logging.getLogger(__name__)
 
 Progress = Callable[[str, int, int], object]
 """Called with a stage's name, and how many of how many of its parts are done."""
+
+_FEW_VIEWS = 100
+"""Up to so many are looked at for being all frontal, in which case an adjustment would wander for long."""
+
+_IN_LINE = 1e-6
+"""Of the corners' extent: what is narrower is a line, but for rounding."""
 
 _SQUARE_PIXELS = 1e-3
 """Chance of taking fx and fy apart where the pixels are square: nearly all cameras' are."""
@@ -170,11 +176,15 @@ def calibrate(
             loaded = session if isinstance(session, Session) else load_session(session)
             session = detect(loaded, executor=executor, progress=lambda done, total: tell("detecting", done, total))
         observations, images = session.observations, session.images
-    observations = _usable(observations)
+    observations, images = _usable(observations, images)
     tell("adjusting", 0, 1)
     try:
+        if not observations.views:
+            raise AdjustmentError("No view shows the board.")
+        if len(observations.views) <= _FEW_VIEWS and hopelessly_frontal(observations):
+            raise AdjustmentError("All views are frontal.")
         adjustment, ladder = _adjusted(observations, options)
-    except (AdjustmentError, InputError) as error:
+    except AdjustmentError as error:
         _log.debug("no adjustment: %s", error)
         gates = judge_unadjusted(observations, images, reason=str(error))
         status, message = verdict(gates)
@@ -203,9 +213,29 @@ def calibrate(
     return found
 
 
-def _usable(observations: Observations) -> Observations:
-    """Leave out views with too few corners for a pose."""
-    return replace(observations, views=tuple(view for view in observations.views if len(view) >= LEAST_CORNERS))
+def _usable(
+    observations: Observations, images: tuple[ImageStatus, ...]
+) -> tuple[Observations, tuple[ImageStatus, ...]]:
+    """Leave out views whose corners determine no pose, and say so of their images."""
+    reasons = {view.name: reason for view in observations.views if (reason := _no_pose(view, observations.board))}
+    for name, reason in reasons.items():
+        _log.info("%s: %s", name, reason)
+    views = tuple(view for view in observations.views if view.name not in reasons)
+    told = tuple(
+        replace(image, status="refused", reason=reasons[image.name]) if image.name in reasons else image
+        for image in images
+    )
+    return replace(observations, views=views), told
+
+
+def _no_pose(view: View, board: Board) -> str:
+    if len(view) < LEAST_CORNERS:
+        return f"Only {len(view)} corners were measured; a view needs {LEAST_CORNERS}."
+    places = board.corners[view.ids]
+    widths = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+    if widths[1] < _IN_LINE * widths[0]:
+        return "Its corners are all in one row of the board, which determines no pose."
+    return ""
 
 
 def _adjusted(observations: Observations, options: Options) -> tuple[Adjustment, tuple[Tested, ...]]:

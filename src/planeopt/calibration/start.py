@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from planeopt.calibration.equations import AdjustmentError
 from planeopt.calibration.model import BEAM, FULL
 from planeopt.calibration.packed import Packed
 from planeopt.calibration.projection import linear_boundaries
@@ -42,11 +43,11 @@ def start_camera(packed: Packed) -> State:
     best: tuple[float, float] | None = None
     for focal in _FOCAL_LADDER * max(width, height):
         camera = Camera(packed.image_size, focal, focal, (width - 1) / 2, (height - 1) / 2, (0.0, 0.0, 0.0, 0.0, 0.0))
-        error = sum(min(misfit for misfit, _ in _poses(packed, row, camera)) for row in some)
+        error = sum(min((misfit for misfit, _ in _poses(packed, row, camera)), default=np.inf) for row in some)
         if best is None or error < best[0]:
             best = error, float(focal)
-    if best is None:
-        raise InputError("there is no view to start from")
+    if best is None or not np.isfinite(best[0]):
+        raise AdjustmentError("No focal length puts the boards before the camera.")
     camera = Camera(packed.image_size, best[1], best[1], (width - 1) / 2, (height - 1) / 2, (0.0, 0.0, 0.0, 0.0, 0.0))
     return pose_views(packed, camera, np.zeros(len(FULL) - 9))
 
@@ -65,8 +66,10 @@ def pose_views(packed: Packed, camera: Camera, rest: Array) -> State:
     ------
     InputError
         If a view has too few corners for a pose.
+    AdjustmentError
+        If they are nearly in line.
     """
-    poses = [min(_poses(packed, row, camera), key=lambda found: found[0])[1] for row in range(len(packed))]
+    poses = [_best(packed, row, camera) for row in range(len(packed))]
     values = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion, *rest])
     rotations = np.stack([rotation for rotation, _ in poses]) if poses else np.empty((0, 3, 3))
     shifts = np.stack([shift for _, shift in poses]) if poses else np.empty((0, 3))
@@ -77,18 +80,16 @@ def other_poses(packed: Packed, state: State) -> State:
     """Return the state with each board in the other pose that a plane seen from far has, where OpenCV finds one."""
     rotations, shifts = state.rotations.copy(), state.translations.copy()
     for row in range(len(packed)):
-        # The one that faces away most from where the board stands now.
-        found = max(_poses(packed, row, state.camera), key=lambda pose: _turned(pose[1][0], state.rotations[row]))
-        rotations[row], shifts[row] = found[1]
+        found = _poses(packed, row, state.camera)
+        if found:
+            # The one that faces away most from where the board stands now.
+            turned = [float(np.trace(rotation @ state.rotations[row].T)) for _, (rotation, _) in found]
+            rotations[row], shifts[row] = found[int(np.argmin(turned))][1]
     return replace(state, rotations=rotations, translations=shifts)
 
 
-def _turned(one: Array, other: Array) -> float:
-    return float(-np.trace(one @ other.T))
-
-
 def _poses(packed: Packed, row: int, camera: Camera) -> list[tuple[float, Pose]]:
-    """Return the poses of one view that OpenCV finds, with their mean square misfit, px^2."""
+    """Return the poses of one view that OpenCV finds before the camera, with their mean square misfit, px^2."""
     seen = packed.corner_seen[row]
     if np.count_nonzero(seen) < LEAST_CORNERS:
         raise InputError(f"view {row}: {np.count_nonzero(seen)} corners; a pose needs {LEAST_CORNERS}")
@@ -106,9 +107,14 @@ def _poses(packed: Packed, row: int, camera: Camera) -> list[tuple[float, Pose]]
         place = np.asarray(shift, dtype=np.float64).reshape(3) - rotation @ middle
         if np.all(np.isfinite(rotation)) and np.isfinite(error) and np.all((board @ rotation.T + place)[:, 2] > 0):
             found.append((float(error) ** 2 * camera.fx**2, (rotation, place)))
-    if not found:
-        raise InputError(f"view {row}: the corners are in line, or too close together, for a pose")
     return found
+
+
+def _best(packed: Packed, row: int, camera: Camera) -> Pose:
+    found = _poses(packed, row, camera)
+    if not found:
+        raise AdjustmentError(f"View {row + 1}: its corners are nearly in line, or too close together, for a pose.")
+    return min(found, key=lambda one: one[0])[1]
 
 
 def start_beam(packed: Packed, state: State, *, free: bool) -> State:
@@ -127,7 +133,7 @@ def start_beam(packed: Packed, state: State, *, free: bool) -> State:
 
     Raises
     ------
-    InputError
+    AdjustmentError
         If no view has a spot whose boundary lies on the board as an ellipse.
     """
     # Any beam tells where the boundary lies on the boards.
@@ -144,7 +150,7 @@ def start_beam(packed: Packed, state: State, *, free: bool) -> State:
             centre = np.append(np.asarray(fit.ellipse.centre, dtype=np.float64), 0.0)
             centres.append(state.rotations[row] @ centre + state.translations[row])
     if not centres:
-        raise InputError("no view has a spot that is an ellipse on the board")
+        raise AdjustmentError("No view has a spot that is an ellipse on the board.")
     places = np.array(centres)
     slope = _median_slope(places) if free else np.zeros(2)
     offset = np.median(places[:, :2] - places[:, 2:] * slope, axis=0)
