@@ -42,7 +42,7 @@ def beam(adjustment: AdjustmentRecord) -> Picture | None:
             below.errorbar(along, away, bars, fmt="none", ecolor=DARK, elinewidth=1.0, capsize=2)
             _points(below, along, away, used)
             below.axhline(0, color=ELLIPSE, lw=1.2)
-            below.set_title(f"less the fitted beam (µm); band up to ±{width:.2g}", loc="left")
+            below.set_title(f"less the fit (µm), band ±{width:.2g}", loc="left")
             room = 1.25 * float(np.max(np.abs(away) + bars))
             below.set(xlabel="distance along the beam (mm)", ylim=(-room, room))
         panels[0, 0].legend(loc="best", frameon=False)
