@@ -3,7 +3,7 @@
 The only place that talks to `cv2.aruco`. Its corners are starts: those of OpenCV before 4.14 are half a pixel off.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -16,13 +16,20 @@ from planeopt.board.pattern import printed_markers
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 
-DICTIONARIES = (
-    *(f"DICT_{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
-    "DICT_ARUCO_ORIGINAL",
-    "DICT_ARUCO_MIP_36h12",
-    *(f"DICT_APRILTAG_{name}" for name in ("16h5", "25h9", "36h10", "36h11")),
-)
-"""OpenCV's predefined dictionaries; of nested ones the smaller first."""
+DICTIONARIES = {
+    "DICT_4X4_50": 50,
+    "DICT_5X5_50": 50,
+    "DICT_6X6_50": 50,
+    "DICT_7X7_50": 50,
+    "DICT_APRILTAG_16h5": 30,
+    "DICT_APRILTAG_25h9": 35,
+    "DICT_ARUCO_MIP_36h12": 250,
+    "DICT_APRILTAG_36h11": 587,
+    "DICT_ARUCO_ORIGINAL": 1024,
+    "DICT_APRILTAG_36h10": 2320,
+}
+"""OpenCV's predefined dictionaries and how many markers each has; of nested ones the smallest, which the others begin
+with."""
 
 _ERRORS_ONLY = 2  # of OpenCV's log levels
 
@@ -36,10 +43,13 @@ class Markers:
     ids : (M,) array of int
     corners : (M, 4, 2) array
         px: top left, top right, bottom right, bottom left as printed.
+    others : int
+        How many more squares could not be read.
     """
 
     ids: Ids
     corners: Array
+    others: int = 0
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -72,8 +82,8 @@ def find_board(image: NDArray[np.uint8], board: Board) -> Found:
 
 def find_markers(image: NDArray[np.uint8], dictionary: str) -> Markers:
     """Look for a dictionary's markers in a grey image of 8 bits, whatever they are printed on."""
-    corners, ids, _ = cv2.aruco.ArucoDetector(_dictionary(dictionary)).detectMarkers(image)
-    return _markers(corners, ids)
+    corners, ids, rejected = cv2.aruco.ArucoDetector(_dictionary(dictionary)).detectMarkers(image)
+    return replace(_markers(corners, ids), others=len(rejected))
 
 
 def marker_corners(board: Board) -> dict[int, Array]:

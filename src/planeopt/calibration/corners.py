@@ -15,7 +15,11 @@ from planeopt.calibration.corner_fit import CornerFits, Crossings, Print, fit_co
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+MIN_SIDE = 32
+"""px: of an image that can hold a board."""
+
 _FIRST, _LONGEST = 10.0, 40.0  # px along the edges: roughly, and as far as it gains much
+_FEW, _SHORT = 12, 15.0  # corners, with fewer of which it is hardly known how the edges bend, and px that hardly bend
 _START_BLUR = 1.2  # px
 _WINDOW = 0.3, 3, 7  # of the side of a square, and px: half the window of OpenCV's refinement
 _SMALLEST = 6.0  # px: no square is smaller
@@ -60,6 +64,16 @@ class Corners:
     def __len__(self) -> int:
         return len(self.ids)
 
+    def marker_share(self, board: Board) -> float | None:
+        """Return the side of the markers over that of the squares as seen, to a few hundredths; ``None``: not seen."""
+        known = marker_corners(board)
+        there = np.array([number in known for number in self.found.markers.ids.tolist()], dtype=np.bool_)
+        if self.map is None or not there.any():
+            return None
+        fours = self.map.places(self.found.markers.corners[there].reshape(-1, 2)).reshape(-1, 4, 2)
+        sides = np.linalg.norm(fours - np.roll(fours, 1, axis=1), axis=2)
+        return float(np.median(sides)) / min(board.square_mm)
+
     @classmethod
     def none(cls, found: Found, mapped: BoardImage | None) -> "Corners":
         """Return that there are none."""
@@ -76,6 +90,8 @@ def find_corners(values: NDArray[np.float32], board: Board) -> Corners:
     board : Board
     """
     height, width = values.shape
+    if min(height, width) < MIN_SIDE:
+        return Corners.none(_NOTHING, None)
     best, mapped, grey = _NOTHING, None, np.empty((0, 0), dtype=np.uint8)
     for image in eight_bits(values):
         found = find_board(image, board)
@@ -163,7 +179,7 @@ def _measured(
         return Corners.none(found, mapped)
     ids = np.array(sorted(rough))
     pixels, blurs = (np.array([rough[k][i] for k in ids.tolist()]) for i in range(2))
-    fits = _fitted(values, board, mapped, ids, pixels, blurs, _LONGEST)
+    fits = _fitted(values, board, mapped, ids, pixels, blurs, _LONGEST if len(ids) >= _FEW else _SHORT)
     good = judged(fits, mapped, board.corners[ids])
     ids, fits = ids[good], fits[good]
     if not len(ids):

@@ -26,6 +26,7 @@ from planeopt.spot.grey import to_grey
 MIN_CORNERS = 6
 """With fewer a view says hardly more than where its board is."""
 
+_OTHER_SHARE = 0.08  # of the markers' share of a square: OpenCV places a marker's corners to half a pixel
 _TYPICAL_BLUR = 1.5  # px: where the corners are another detector's, who does not say
 
 
@@ -51,6 +52,8 @@ class ImageStatus:
         What should be known about the spot.
     blur : float
         Standard deviation of the blur of the board's edges, px; 0 where it is not known.
+    marker_share : float, optional
+        Side of the markers over that of the squares, as seen.
     """
 
     name: str
@@ -61,6 +64,7 @@ class ImageStatus:
     spot_reason: str = ""
     spot_flags: tuple[SpotFlag, ...] = ()
     blur: float = 0.0
+    marker_share: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,10 +77,13 @@ class Detected:
         Of the images that are "ok".
     images : tuple of ImageStatus
         Of all of them, in order.
+    remarks : tuple of str
+        What of the session a person should look at again: sentences.
     """
 
     observations: Observations
     images: tuple[ImageStatus, ...]
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +127,8 @@ def detect(
         spot=session.spot,
         pixel_pitch_mm=session.pixel_pitch_mm,
     )
-    return Detected(observations, tuple(one.status for one in seen))
+    images = tuple(one.status for one in seen)
+    return Detected(observations, images, _remarks(session.board, images))
 
 
 def detect_image(
@@ -154,7 +162,14 @@ def detect_image(
         to_grey(image, dark=dark)
     corners = find_corners(values, board)
     reason = _refusal(corners, values, board)
-    status = ImageStatus(name, "refused" if reason else "ok", reason, len(corners), blur=corners.blur)
+    status = ImageStatus(
+        name,
+        "refused" if reason else "ok",
+        reason,
+        len(corners),
+        blur=corners.blur,
+        marker_share=corners.marker_share(board),
+    )
     if reason:
         unlooked = "the board was not found" if spot != "none" else ""
         return None, replace(status, spot_status="none" if spot == "none" else "refused", spot_reason=unlooked)
@@ -244,7 +259,8 @@ def _looked_at(job: _Job) -> _Seen:
 
 
 def _seen(job: _Job) -> _Seen:
-    image = None if job.image is None else load_image(job.image).pixels
+    stored = None if job.image is None else load_image(job.image)
+    image = None if stored is None else stored.pixels
     dark = None if job.dark is None else load_image(job.dark).pixels
     size = None if image is None else (image.shape[1], image.shape[0])
     from_image: SpotOnBoard = "none" if job.boundary is not None else job.spot
@@ -256,6 +272,9 @@ def _seen(job: _Job) -> _Seen:
         raise InputError("there is neither an image nor corners of it")
     if view is not None and job.spot != "none" and job.boundary is not None:
         view, status = _with_boundary(view, status, job.boundary, job.spot)
+    if view is not None and view.spot is not None and job.boundary is None and stored is not None and stored.encoded:
+        spot = replace(view.spot, flags=(*view.spot.flags, SpotFlag.ENCODED))
+        view, status = replace(view, spot=spot), replace(status, spot_flags=spot.flags)
     return _Seen(status, view, size)
 
 
@@ -286,6 +305,17 @@ def _with_boundary(view: View, status: ImageStatus, file: Path, kind: SpotOnBoar
         return view, replace(status, spot_status="refused", spot_reason=f"there is no {file.name} with its boundary")
     spot = replace(read_points(file), kind="ring" if kind == "ring" else "disc", source=status.name)
     return replace(view, spot=spot), replace(status, spot_status="ok", spot_flags=spot.flags)
+
+
+def _remarks(board: Board, images: tuple[ImageStatus, ...]) -> tuple[str, ...]:
+    shares = [image.marker_share for image in images if image.marker_share is not None]
+    said = board.marker_mm / min(board.square_mm)
+    if shares and abs(float(np.median(shares)) / said - 1) > _OTHER_SHARE:
+        return (
+            f"marker_mm/square_mm is {said:.2f} in board.toml, but about {np.median(shares):.2f} in the images: "
+            "measure a marker and a square again.",
+        )
+    return ()
 
 
 def _size_of(session: Session, seen: list[_Seen]) -> tuple[int, int]:

@@ -13,12 +13,13 @@ from planeopt.board import Board
 from planeopt.board.pattern import printed_markers
 from planeopt.calibration.board_image import fit_board_image
 from planeopt.calibration.charuco import DICTIONARIES, Markers, find_markers
-from planeopt.calibration.corners import Corners, eight_bits
+from planeopt.calibration.corners import MIN_SIDE, Corners, eight_bits
 
 _BLANK = 0.02  # of full scale: less contrast is none
 _SOME = 4  # markers: fewer say nothing of a layout, and may be chance
 _CLEARLY = 2  # times as many
 _KNOWN, _FIT = 0.8, 0.95  # of the markers can be of a layout, and lie where it puts them: shifted ones mostly do too
+_LOOKED_UP = 300_000  # squares times markers: half a second
 _MOST_COLUMNS = 40
 
 
@@ -36,6 +37,8 @@ def why_no_corners(values: NDArray[np.float32], board: Board, corners: Corners) 
     if corners.map is not None:
         found = f"only {len(corners)} of the board's corners" if len(corners) else "none of the board's corners"
         return f"{found} could be measured: the others are cut off, hidden, lit by the spot or too blurred"
+    if min(values.shape) < MIN_SIDE:
+        return f"the image is too small to hold a board: {values.shape[1]} x {values.shape[0]} px"
     low, high = np.quantile(values[::4, ::4], [0.01, 0.99])
     if high - low < _BLANK:
         return f"the image is blank: nearly all of it is {100 * float(low + high) / 2:.0f} % of full scale"
@@ -45,9 +48,11 @@ def why_no_corners(values: NDArray[np.float32], board: Board, corners: Corners) 
     if len(mirrored) >= _SOME and len(mirrored) > _CLEARLY * len(seen):
         return f"the image is mirrored: {len(mirrored)} markers can be read when it is flipped; save it as seen"
     if len(seen) < _SOME:
-        other, count = _best_dictionary(images[1], board.dictionary)
+        squares = len(seen) + seen.others
+        other, count = _best_dictionary(images[0], board.dictionary, squares) if squares >= _SOME else ("", 0)
         if count >= _SOME and count > _CLEARLY * len(seen):
-            return f"its markers are not of {board.dictionary}: {count} of {other} can be read"
+            larger = ", or a larger one of its kind," if "X" in other else ""
+            return f"its markers are not of {board.dictionary}: {count} of {other}{larger} can be read"
         if len(seen):
             return (
                 f"only {len(seen)} of the board's markers can be read: it is cut off, hidden, too blurred or too small"
@@ -64,26 +69,17 @@ def _most(tries: Iterable[Markers]) -> Markers:
     return max(tries, key=len)
 
 
-def _best_dictionary(image: NDArray[np.uint8], but: str) -> tuple[str, int]:
-    """Return the dictionary of which most markers can be read, and how many; of nested ones the smallest."""
-    found: dict[str, NDArray[np.int64]] = {}
-    for largest in DICTIONARIES:
-        if all(other == largest or not _nested(largest, other) for other in DICTIONARIES) and not _nested(but, largest):
-            found[largest] = np.unique(find_markers(image, largest).ids)
-    most = max(found, key=lambda name: len(found[name]))
-    top = int(found[most].max(initial=-1))
-    smallest = next(name for name in DICTIONARIES if name == most or (_nested(name, most) and _size(name) > top))
-    return smallest, len(found[most])
-
-
-def _nested(name: str, within: str) -> bool:
-    """Return whether a dictionary's markers are the first ones of another."""
-    family, _, count = name.rpartition("_")
-    return within.startswith(f"{family}_") and "X" in family and int(count) <= _size(within)
-
-
-def _size(name: str) -> int:
-    return int(name.rpartition("_")[2])
+def _best_dictionary(image: NDArray[np.uint8], but: str, squares: int) -> tuple[str, int]:
+    """Return the dictionary of which most markers can be read in an image with so many squares, and how many."""
+    family = but.rpartition("_")[0]
+    found = {
+        name: len(np.unique(find_markers(image, name).ids))
+        for name, size in DICTIONARIES.items()
+        # In noise there are squares without end, and looking all of them up takes long.
+        if size * squares < _LOOKED_UP and not ("X" in family and name.startswith(f"{family}_"))
+    }
+    best = max(found, key=lambda name: found[name], default=but)
+    return best, found.get(best, 0)
 
 
 @dataclass(frozen=True)

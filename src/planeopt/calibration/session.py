@@ -98,6 +98,10 @@ def load_session(path: str | os.PathLike[str]) -> Session:
     detections = _existing(tables.detections, folder, f"{file}: detections", folder_wanted=False)
     boundaries = _existing(tables.boundaries, folder, f"{file}: boundaries", folder_wanted=True)
     _check_sources(tables, images, spot, str(file))
+    if spot != "none" and board.window_mm is None and not dark and boundaries is None:
+        raise InputError(
+            f'{file}: spot = "{spot}" on a board without window_mm needs dark_images: the same views with the laser off'
+        )
     return Session(
         folder=folder,
         board=board,
