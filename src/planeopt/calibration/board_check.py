@@ -298,8 +298,9 @@ def _judged(fit: Adjustment, rig: Rig, basis: Basis) -> BoardCheck:
         shift = evidence
         linear, evidence, causes = _measured(task, weights, linear, basis, noise)
         # What no change explains is told from where the change that there is has been made.
-        extra = _of(linear.each, linear.moved, basis)[1]
-        tests = _tests(evidence, extra, spots_together(task, weights, linear.here, basis), noise, shift=shift)
+        free, extra = _of(linear.each, linear.moved, basis)
+        free = replace(free, sigma=basis.loosened([name for cause in causes for name in GROUPS[cause.group]]))
+        tests = _tests(shift, extra, spots_together(task, weights, linear.here, basis), noise, beside=free)
     groups, changes = groups_alone(evidence, basis, noise), _changes(evidence, basis)
     state = BoardState.OK if all(test.ok for test in tests) else BoardState.DEGRADED
     result = BoardCheck(
@@ -350,11 +351,11 @@ def _tests(
     spots: tuple[float, float],
     dof_noise: float,
     *,
-    shift: RigEvidence | None = None,
+    beside: RigEvidence | None = None,
 ) -> tuple[BoardTest, ...]:
-    """Test the parts that there are; the shift, where that is given, as it was seen from the calibration's place."""
-    moved, dof = (evidence if shift is None else shift).test()
-    rest, dof_rest = evidence.beyond(extra) if len(extra.pull) else (0.0, 0)
+    """Test the parts that there are; the rest beside what is free to have moved, where that is given."""
+    moved, dof = evidence.test()
+    rest, dof_rest = (evidence if beside is None else beside).beyond(extra) if len(extra.pull) else (0.0, 0)
     made = [
         (BoardPart.SHIFT, moved, float(dof), True),
         (BoardPart.REST, rest, float(dof_rest), True),
