@@ -54,7 +54,7 @@ def tests(file: CalibrationFile) -> TextTable:
 
 def _test(test: TestRecord) -> tuple[str, str, str, str, str]:
     seen = "yes" if test.p_value < LEVEL else "no"
-    chance = "0" if test.p_value == 0 else p_text(test.p_value)
+    chance = p_text(test.p_value)
     return TERMS.get(test.name, test.name), seen, "yes" if test.used else "no", f"{test.statistic:.3g}", chance
 
 

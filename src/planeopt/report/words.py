@@ -133,4 +133,6 @@ _USUAL_DECIMALS, _MOST_DECIMALS = 4, 9
 
 def p_text(value: float) -> str:
     """Return a p-value: three decimals, or the power of ten where these say nothing."""
+    if value == 0:
+        return "0"  # smaller than any number
     return f"{value:.3f}" if value >= 0.001 else f"{value:.1e}"
