@@ -100,7 +100,9 @@ _RUNG_WORDS: dict[Rung, str] = {
 }
 
 
-def climb(observations: Observations, model: Model, rung: Rung | None) -> tuple[Adjustment, tuple[Tested, ...]]:
+def climb(
+    observations: Observations, model: Model, rung: Rung | None, *, reject: bool = True
+) -> tuple[Adjustment, tuple[Tested, ...]]:
     """Adjust on a rung of the ladder of distortions, and test each rung against the one below.
 
     Where no rung is asked for, all terms are free, with a prior that keeps them to what lenses do (`camera_prior`): a
@@ -116,6 +118,8 @@ def climb(observations: Observations, model: Model, rung: Rung | None) -> tuple[
         Its distortion is replaced.
     rung : Rung or None
         The one asked for; its terms are then free without a prior.
+    reject : bool
+        Whether outliers are left out.
 
     Returns
     -------
@@ -129,7 +133,7 @@ def climb(observations: Observations, model: Model, rung: Rung | None) -> tuple[
     AdjustmentError
         If the observations do not determine the rung.
     """
-    top = adjust_all(observations, model)
+    top = adjust_all(observations, model, reject=reject)
     fits = {name: refit(top, replace(model, distortion=name)) for name in RUNGS[:-1]} | {RUNGS[-1]: top}
     chosen = RUNGS[-1] if rung is None else rung
     tests = tuple(
@@ -144,10 +148,11 @@ def climb(observations: Observations, model: Model, rung: Rung | None) -> tuple[
     )
     if rung is None:
         return top, tests
-    return adjust(observations, replace(model, distortion=rung), start=fits[rung].state), tests
+    asked = replace(model, distortion=rung)
+    return adjust(observations, asked, start=fits[rung].state, reject=reject), tests
 
 
-def adjust_all(observations: Observations, model: Model) -> Adjustment:
+def adjust_all(observations: Observations, model: Model, *, reject: bool = True) -> Adjustment:
     """Adjust with all distortions free, and the prior of all cameras: what `climb` gives where no rung is asked for.
 
     Parameters
@@ -155,6 +160,8 @@ def adjust_all(observations: Observations, model: Model) -> Adjustment:
     observations : Observations
     model : Model
         Its distortion is replaced.
+    reject : bool
+        Whether outliers are left out.
 
     Raises
     ------
@@ -162,7 +169,7 @@ def adjust_all(observations: Observations, model: Model) -> Adjustment:
         If the observations do not determine the free parameters.
     """
     prior = camera_prior(start_camera(Packed.of(observations)).camera)
-    return adjust(observations, replace(model, distortion=RUNGS[-1]), prior=prior)
+    return adjust(observations, replace(model, distortion=RUNGS[-1]), prior=prior, reject=reject)
 
 
 def camera_prior(camera: Camera) -> Prior:

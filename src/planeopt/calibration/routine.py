@@ -55,6 +55,10 @@ class Options:
         Whether the board may be bowed. It costs little, and a bow that is left out is invisible.
     beam : {"free", "parallel", "none"}
         Of free direction; parallel to the optical axis, as the paper has it; camera alone.
+    corner_weights : {"measured", "equal"}
+        Whether each corner counts by its own sigma, or all the same, as in other programs.
+    reject : bool
+        Whether outliers are left out, by rule; other programs leave none out.
     expect : mapping of str to (float, float)
         What is known otherwise, and its tolerance (`radius_mm`, `f_mm` ...): the only way in which images can show that
         the board's squares have another size than stated.
@@ -69,6 +73,8 @@ class Options:
     distortion: Literal["auto"] | Rung = "auto"
     warp: bool = True
     beam: BeamModel = "free"
+    corner_weights: Literal["measured", "equal"] = "measured"
+    reject: bool = True
     expect: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -76,6 +82,7 @@ class Options:
             ("focal", self.focal, ("auto", "shared", "separate")),
             ("distortion", self.distortion, ("auto", *RUNGS)),
             ("beam", self.beam, ("free", "parallel", "none")),
+            ("corner_weights", self.corner_weights, ("measured", "equal")),
         ):
             if value not in known:
                 raise InputError(f"{name} must be one of {', '.join(known)}, not {value!r}")
@@ -177,6 +184,8 @@ def calibrate(
             session = detect(loaded, executor=executor, progress=lambda done, total: tell("detecting", done, total))
         observations, images = session.observations, session.images
     observations, images = _usable(observations, images)
+    if options.corner_weights == "equal":
+        observations = _evened(observations)
     tell("adjusting", 0, 1)
     try:
         if not observations.views:
@@ -228,6 +237,14 @@ def _usable(
     return replace(observations, views=views), told
 
 
+def _evened(observations: Observations) -> Observations:
+    """Give all corners the root mean square of the sigmas."""
+    sigmas = np.concatenate([np.empty(0), *(view.sigma for view in observations.views)])
+    even = float(np.sqrt(np.mean(sigmas**2))) if sigmas.size else 1.0
+    views = tuple(replace(view, sigma=np.full(len(view), even)) for view in observations.views)
+    return replace(observations, views=views)
+
+
 def _no_pose(view: View, board: Board) -> str:
     if len(view) < LEAST_CORNERS:
         return f"Only {len(view)} corners were measured; a view needs {LEAST_CORNERS}."
@@ -244,12 +261,14 @@ def _adjusted(observations: Observations, options: Options) -> tuple[Adjustment,
     focal: Focal = "separate" if options.focal == "separate" else "shared"
     model = Model(focal=focal, warp=options.warp, beam=beam)
     rung = None if options.distortion == "auto" else options.distortion
-    adjustment, ladder = climb(observations, model, rung)
+    adjustment, ladder = climb(observations, model, rung, reject=options.reject)
     if options.focal == "auto":
         test = compare_terms(adjustment, only=("aspect",)).get("aspect")
         if test is not None and test.p_value < _SQUARE_PIXELS:
             separate = replace(adjustment.model, focal="separate")
-            adjustment = adjust(observations, separate, start=adjustment.state)
+            adjustment = adjust(
+                observations, separate, prior=adjustment.prior, start=adjustment.state, reject=options.reject
+            )
     return adjustment, ladder
 
 
