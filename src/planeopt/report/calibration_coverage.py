@@ -7,7 +7,7 @@ from matplotlib.ticker import MaxNLocator
 
 from planeopt.calibration.record import AdjustmentRecord, CalibrationFile
 from planeopt.report.content import Picture
-from planeopt.report.style import DARK, ELLIPSE, LIGHT, PAGE_WIDTH, page_figure, picture
+from planeopt.report.style import DARK, ELLIPSE, LIGHT, PAGE_WIDTH, mark_size, page_figure, picture
 
 _CELLS = 8  # across the image
 _NAMED = 40  # views at most that get their number
@@ -26,7 +26,8 @@ def coverage(file: CalibrationFile) -> Picture:
         count, _, _ = np.histogram2d(*corners.T, bins=edges)
         empty = np.where(count.T > 0, np.nan, 0.0)
         axes.pcolormesh(*edges, empty, cmap="gray", vmin=-0.8, vmax=0.2, lw=0)
-        axes.plot(*corners.T, "o", ms=2.4, color=DARK, mew=0, label=f"{len(corners)} corners")
+        size = mark_size(2.4, len(corners), 2000)
+        axes.plot(*corners.T, "o", ms=size, color=DARK, mew=0, label=f"{len(corners)} corners")
         spots = [view.spot for view in seen.views if view.spot is not None]
         for i, spot in enumerate(spots):
             around = _closed(np.array(spot.points_px))
@@ -58,7 +59,8 @@ def poses(adjustment: AdjustmentRecord) -> Picture:
         top = 5 * np.ceil((max(float(tilt.max()), _ENOUGH_DEG) + 4) / 5)
         around = np.linspace(0, 2 * np.pi, 181)
         left.plot(around, np.full_like(around, _ENOUGH_DEG), color=LIGHT, lw=1.3, ls="--")
-        left.plot(direction, tilt, "o", color=DARK, ms=5)
+        size = mark_size(1.0, len(views), 60)
+        left.plot(direction, tilt, "o", color=DARK, ms=5 * size)
         if len(views) <= _NAMED:
             for i, place in enumerate(zip(direction, tilt, strict=True)):
                 left.annotate(str(i + 1), place, (4, 3), textcoords="offset points", fontsize=7.5)
@@ -71,12 +73,21 @@ def poses(adjustment: AdjustmentRecord) -> Picture:
         number = np.arange(1, len(views) + 1)
         boards = [view.depth_mm for view in views]
         ratio = max(boards) / min(boards)
-        right.plot(number, boards, "o", color=DARK, ms=5, label=f"boards, farthest over nearest {ratio:.2f}")
+        right.plot(number, boards, "o", color=DARK, ms=5 * size, label=f"boards, farthest over nearest {ratio:.2f}")
         spots = [(i, view.section.along_mm) for i, view in zip(number, views, strict=True) if view.section is not None]
         if spots:
             places, depths = zip(*spots, strict=True)
             ratio = max(depths) / min(depths)
-            right.plot(places, depths, "D", mfc="none", color=ELLIPSE, ms=6, label=f"spots, along the beam {ratio:.2f}")
+            right.plot(
+                places,
+                depths,
+                "D",
+                mfc="none",
+                color=ELLIPSE,
+                ms=6 * size,
+                mew=size,
+                label=f"spots, along the beam {ratio:.2f}",
+            )
         right.set(xlabel="view", ylabel="depth (mm)", xlim=(0.4, len(views) + 0.6), ylim=(0, None))
         right.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
         right.grid(True, axis="y")

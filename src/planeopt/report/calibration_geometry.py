@@ -9,7 +9,7 @@ from planeopt.board import Board
 from planeopt.calibration.adjusted import WITHIN
 from planeopt.calibration.record import AdjustmentRecord, BoardRecord, CalibrationFile, SectionRecord
 from planeopt.report.content import Picture
-from planeopt.report.style import BAND, DARK, ELLIPSE, PAGE_WIDTH, REJECTED, page_figure, picture
+from planeopt.report.style import BAND, DARK, ELLIPSE, PAGE_WIDTH, REJECTED, mark_size, page_figure, picture
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,8 @@ def beam(adjustment: AdjustmentRecord) -> Picture | None:
             width = _band(below, adjustment, kind, reach)
             bars = _MICROMETRES * WITHIN * sigma
             away = _MICROMETRES * (measured - fitted)
-            below.errorbar(along, away, bars, fmt="none", ecolor=DARK, elinewidth=1.0, capsize=2)
+            size = mark_size(1.0, len(along), 60)
+            below.errorbar(along, away, bars, fmt="none", ecolor=DARK, elinewidth=size, capsize=2 * size)
             _points(below, along, away, used)
             below.axhline(0, color=ELLIPSE, lw=1.2)
             below.set_title(f"less the fit (µm), band ±{width:.2g}", loc="left")
@@ -50,7 +51,9 @@ def beam(adjustment: AdjustmentRecord) -> Picture | None:
 
 
 def _points(axes: Axes, along: Array, values: Array, used: NDArray[np.bool_]) -> None:
-    axes.plot(along[used], values[used], "o", color=DARK, ms=4.5, label="spots on their boards")
+    axes.plot(
+        along[used], values[used], "o", color=DARK, ms=mark_size(4.5, len(along), 60), label="spots on their boards"
+    )
     if not np.all(used):
         axes.plot(along[~used], values[~used], "x", color=REJECTED, ms=6, mew=1.6, label="left out by rule")
 

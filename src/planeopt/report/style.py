@@ -84,6 +84,11 @@ def picture(figure: Figure, words: str) -> Picture:
     return Picture(file.getvalue(), width, height, words)
 
 
+def mark_size(size: float, count: int, room: int) -> float:
+    """Return the size of marks: the usual one while there is room for so many, then less, but not below a third."""
+    return size * max(1 / 3, min(1.0, (room / max(count, 1)) ** 0.5))
+
+
 def drawable(name: str) -> str:
     """Return a name in the letters that the figures' font has: Latin, Greek, Cyrillic, Armenian."""
     return "".join(letter if letter.isprintable() and ord(letter) < _BEYOND_FONT else "?" for letter in name)
