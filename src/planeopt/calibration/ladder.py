@@ -149,7 +149,9 @@ def climb(
     if rung is None:
         return top, tests
     asked = replace(model, distortion=rung)
-    return adjust(observations, asked, start=fits[rung].state, reject=reject), tests
+    # Few or frontal views may have several minima: of the one from nothing and the one beside all distortions the lower.
+    ends = [adjust(observations, asked, start=start, reject=reject) for start in (None, fits[rung].state)]
+    return min(ends, key=lambda end: end.chi2_corners + end.chi2_spots), tests
 
 
 def adjust_all(observations: Observations, model: Model, *, reject: bool = True) -> Adjustment:
