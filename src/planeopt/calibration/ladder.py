@@ -149,7 +149,7 @@ def climb(
     if rung is None:
         return top, tests
     asked = replace(model, distortion=rung)
-    # Few or frontal views may have several minima: of the one from nothing and the one beside all distortions the lower.
+    # Few or frontal views may have several minima: of the one from nothing and the one near all distortions the lower.
     ends = [adjust(observations, asked, start=start, reject=reject) for start in (None, fits[rung].state)]
     return min(ends, key=lambda end: end.chi2_corners + end.chi2_spots), tests
 
