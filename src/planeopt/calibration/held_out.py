@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from planeopt.calibration.adjustment import Adjustment, adjust
+from planeopt.calibration.adjustment import Adjustment, refit
 from planeopt.calibration.equations import AdjustmentError, Task, Weights, descend
 from planeopt.calibration.model import Model
 from planeopt.calibration.packed import Packed
@@ -240,15 +240,16 @@ def _fold(
     """Return what a calibration without some views says of them; None where there is none."""
     views = adjustment.observations.views
     kept = np.setdiff1d(np.arange(len(views)), rows)
-    fewer = replace(adjustment.observations, views=tuple(views[row] for row in kept))
+    # With the same weights, outliers left out the same: the estimates are nested.
+    fewer = replace(
+        adjustment,
+        observations=replace(adjustment.observations, views=tuple(views[row] for row in kept)),
+        state=_rows_of_state(adjustment.state, kept),
+        corner_used=tuple(adjustment.corner_used[row] for row in kept),
+        spot_used=adjustment.spot_used[kept],
+    )
     try:
-        fit = adjust(
-            fewer,
-            adjustment.model,
-            prior=adjustment.prior,
-            start=_rows_of_state(adjustment.state, kept),
-            noise=adjustment.noise,
-        )
+        fit = refit(fewer, adjustment.model)
     except (AdjustmentError, InputError) as error:
         _log.debug("no calibration without %s: %s", ", ".join(views[row].name for row in rows), error)
         return None

@@ -70,10 +70,11 @@ def mixture(adjustment: Adjustment) -> Mixture | None:
     # The noise was estimated from the residuals, which two cameras make large: a sum over its degrees of freedom.
     if disagreement < chi2.isf(_CHANCE, dof):
         return None
-    second = _split(here, alone)
-    if second is None:
+    found = _split(here, alone)
+    # Something else may make views disagree, a little: then two cameras would hardly help.
+    if found is None or found[0] < _EXPLAINED / 2 * _square_sum(adjustment):
         return None
-    return _refined(adjustment, second)
+    return _refined(adjustment, found[1])
 
 
 def misfitting_views(adjustment: Adjustment) -> list[tuple[int, float]]:
@@ -124,8 +125,16 @@ def _solve(information: Array, pull: Array) -> Array:
     return (inverse @ pull[..., None])[..., 0]
 
 
-def _split(here: PerView, alone: Array) -> Mask | None:
-    """Return the best split found, by Lloyd's method from splits along each parameter and along all."""
+def _square_sum(adjustment: Adjustment) -> float:
+    """Return the corners' sum of squares over the noise that was found."""
+    return adjustment.chi2_corners / adjustment.noise.corners**2
+
+
+def _split(here: PerView, alone: Array) -> tuple[float, Mask] | None:
+    """Return the best split found, after what it would take off the sum of squares, to first order.
+
+    By Lloyd's method, from splits along each parameter and along all.
+    """
     views = len(here.pull)
     deviation = np.sqrt(np.maximum(np.diagonal(here.information, axis1=1, axis2=2), np.finfo(np.float64).tiny))
     starts = [alone[:, column] > np.median(alone[:, column]) for column in range(alone.shape[1])]
@@ -152,7 +161,7 @@ def _split(here: PerView, alone: Array) -> Mask | None:
             continue
         if best is None or gain > best[0]:
             best = gain, second
-    return None if best is None else best[1]
+    return best
 
 
 def _refined(adjustment: Adjustment, second: Mask) -> Mixture | None:
@@ -184,8 +193,7 @@ def _refined(adjustment: Adjustment, second: Mask) -> Mixture | None:
         second = again
     if np.count_nonzero(second) > len(packed) / 2:
         second, fits, misfits = ~second, fits[::-1], misfits[::-1]
-    one = adjustment.chi2_corners / adjustment.noise.corners**2
-    explained = 1 - float(np.min(misfits, axis=0).sum()) / one
+    explained = 1 - float(np.min(misfits, axis=0).sum()) / _square_sum(adjustment)
     if explained < _EXPLAINED:
         return None
     larger, smaller = fits
