@@ -133,12 +133,15 @@ def test_the_record_alone_gives_the_rig_again(made: Made, tmp_path: Path):
 @pytest.mark.usefixtures("pageless")
 def test_options_reach_the_model_and_are_kept_for_the_next_time(made: Made, tmp_path: Path):
     asked = ["--distortion", "k2", "--beam", "parallel", "--no-warp", "--focal", "separate", "--seed", "3"]
+    asked += ["--corner-weights", "equal", "--no-reject"]
     f_mm = made.truth.rig.focal_length
     run(made.session, "-o", tmp_path / "one", "--force", *asked, "--expect", f"f_mm={f_mm},1")
     first = load_record(tmp_path / "one" / "calibration.json")
     assert first.adjustment is not None
     model = first.adjustment.model
     assert (model.distortion, model.beam, model.warp, model.focal) == ("k2", "parallel", False, "separate")
+    assert (first.options.corner_weights, first.options.reject) == ("equal", False)
+    assert first.adjustment.noise.corners_left_out == 0
     assert first.options.expect == {"f_mm": (f_mm, 1.0)}
     assert all(word in first.provenance.command for word in asked)
     assert first.provenance.seed == 3

@@ -86,6 +86,8 @@ class OptionsRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     distortion: Literal["auto", "none", "k1", "k2", "tangential", "k3"] = "auto"
     warp: bool = True
     beam: Literal["free", "parallel", "none"] = "free"
+    corner_weights: Literal["measured", "equal"] = "measured"
+    reject: bool = True
     expect: dict[str, Pair] = msgspec.field(default_factory=dict)
 
 

@@ -9,7 +9,6 @@ import cv2
 
 from planeopt import __version__
 from planeopt.calibration.adjusted import adjustment_record, triple, triples
-from planeopt.calibration.routine import Calibration, Options
 from planeopt.calibration.gate import Gate
 from planeopt.calibration.held_out import HeldOut
 from planeopt.calibration.ladder import Tested
@@ -27,6 +26,7 @@ from planeopt.calibration.record import (
     Provenance,
     TestRecord,
 )
+from planeopt.calibration.routine import Calibration, Options
 
 
 def versions() -> dict[str, str]:
@@ -92,7 +92,13 @@ def options_from_record(record: CalibrationFile) -> Options:
 def _options(options: Options) -> OptionsRecord:
     expect = {name: (float(value), float(room)) for name, (value, room) in options.expect.items()}
     return OptionsRecord(
-        focal=options.focal, distortion=options.distortion, warp=options.warp, beam=options.beam, expect=expect
+        focal=options.focal,
+        distortion=options.distortion,
+        warp=options.warp,
+        beam=options.beam,
+        corner_weights=options.corner_weights,
+        reject=options.reject,
+        expect=expect,
     )
 
 

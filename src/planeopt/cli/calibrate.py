@@ -42,6 +42,10 @@ class Asked:
         Whether the board may be bowed: two numbers more.
     beam
         Of free direction; parallel to the optical axis, as the paper has it; none calibrates the camera alone.
+    corner_weights
+        Whether each corner counts by its own measured sigma, or all equally, as in other programs.
+    reject
+        Whether outliers are left out, by rule; other programs leave none out.
     expect
         NAME=VALUE,TOLERANCE: what is known otherwise, such as f_mm=12,0.2 or radius=6,0.05 (px, mm); may be given many
         times. Images alone cannot show that the board's squares have another size than stated.
@@ -51,6 +55,8 @@ class Asked:
     distortion: Literal["auto", "none", "k1", "k2", "tangential", "k3"] | None = None
     warp: bool | None = None
     beam: Literal["free", "parallel", "none"] | None = None
+    corner_weights: Literal["measured", "equal"] | None = None
+    reject: bool | None = None
     expect: Annotated[tuple[str, ...], _NONE] = ()
 
     def over(self, given: "Options") -> "Options":
@@ -63,11 +69,12 @@ class Asked:
 
     def words(self) -> Iterator[str]:
         """Give what was asked for as it is typed."""
-        for name in ("focal", "distortion", "beam"):
+        for name in ("focal", "distortion", "beam", "corner_weights"):
             if getattr(self, name) is not None:
-                yield from (f"--{name}", getattr(self, name))
-        if self.warp is not None:
-            yield "--warp" if self.warp else "--no-warp"
+                yield from (f"--{name.replace('_', '-')}", getattr(self, name))
+        for name in ("warp", "reject"):
+            if getattr(self, name) is not None:
+                yield f"--{name}" if getattr(self, name) else f"--no-{name}"
         for text in self.expect:
             yield from ("--expect", text)
 

@@ -173,6 +173,8 @@ def _provenance(file: CalibrationFile) -> Block:
     came, asked = file.provenance, file.options
     wanted = [f"focal {asked.focal}", f"distortion {asked.distortion}", f"beam {asked.beam}"]
     wanted.append("the board's bow free" if asked.warp else "a flat board")
+    wanted.append(f"corners weighted {'as measured' if asked.corner_weights == 'measured' else 'equally'}")
+    wanted += [] if asked.reject else ["no outliers left out"]
     wanted += [f"{name} = {value:g} ± {room:g}" for name, (value, room) in asked.expect.items()]
     pairs = [("session", came.session), ("command", came.command), ("asked for", ", ".join(wanted))]
     pairs.append(("seed", str(came.seed)))
