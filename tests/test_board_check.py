@@ -8,14 +8,8 @@ import scipy.stats
 
 from planeopt.board import Observations
 from planeopt.calibration.adjustment import adjust
-from planeopt.calibration.board_check import (
-    TEST_LEVEL,
-    UNTESTED,
-    BoardCheck,
-    BoardPart,
-    BoardState,
-    check_board,
-)
+from planeopt.calibration.board_check import check_board
+from planeopt.calibration.board_verdict import TEST_LEVEL, UNTESTED, BoardCheck, BoardPart, BoardState
 from planeopt.calibration.rig_evidence import Extra, RigEvidence, found_from, noncentrality
 from planeopt.errors import InputError
 from planeopt.rig import Rig, RigCovariance
@@ -149,6 +143,19 @@ def test_what_the_calibration_held_fixed_is_tested(calibrated: Rig, later: dict[
     matrix = covariance.matrix[np.ix_(rows, rows)] + np.diag([0.1, 0.1, *np.zeros(len(rows) - 2)])
     separate = replace(calibrated, covariance=RigCovariance(names, matrix))
     assert check_board(seen(calibrated, later[3], 18), separate).ok
+
+
+def test_a_spot_that_is_none_is_left_out_and_said(calibrated: Rig, later: dict[int, SimulatedSession]) -> None:
+    observations = seen(calibrated, later[6], 19)
+    spot = observations.views[2].spot
+    assert spot is not None
+    wrong = replace(spot, points=spot.points + np.array([30.0, 0.0]))
+    views = [*observations.views]
+    views[2] = replace(views[2], spot=wrong)
+    result = check_board(replace(observations, views=tuple(views)), calibrated)
+    assert result.ok
+    assert f"the spot of {views[2].name}" in result.verdict
+    assert result.views[2].spot_chi2 is None
 
 
 def test_views_without_a_spot_test_the_camera_and_say_so(calibrated: Rig, later: dict[int, SimulatedSession]) -> None:

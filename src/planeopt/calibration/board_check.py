@@ -1,8 +1,10 @@
 """Is the rig still as calibrated? New views of a board test all of it: lens, beam and scale.
 
-Camera, beam, poses and the board's bow are adjusted to the views with hardly any prior, so that what is measured does
-not hang on whether the rig is right; at that place the observations are linearised, and there the old calibration is
-brought in with its joint covariance (`planeopt.calibration.rig_evidence`). Four tests at a family-wise level:
+Camera, beam, poses and the board's bow are adjusted to the views twice. With hardly any prior, for the noise of the
+corners and for what is wrong by rule: neither then hangs on whether the rig is right. And with the calibration as
+prior, where the observations are linearised and tested with its joint covariance (`planeopt.calibration.rig_evidence`).
+Where that fails, the groups of parameters that explain it are let go, and measured from where that puts the rig. Four
+tests at a family-wise level:
 
 - the *shift*: a change of the calibrated parameters, the same in every view;
 - the *rest*: of what the calibration held fixed, further distortion or a second focal length;
@@ -16,7 +18,6 @@ stated.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import numpy as np
 import scipy.stats
@@ -27,6 +28,18 @@ from planeopt.calibration.adjustment import Adjustment, adjust
 from planeopt.calibration.approach import approach
 from planeopt.calibration.board_basis import LOOSE, Basis, basis_of, changes_worth_finding, hardly_known
 from planeopt.calibration.board_causes import GROUPS, Moved, causes_of, groups_alone, instead_of, p_value_of, unit_of
+from planeopt.calibration.board_verdict import (
+    POWER,
+    TEST_LEVEL,
+    BoardChange,
+    BoardCheck,
+    BoardPart,
+    BoardState,
+    BoardTest,
+    ViewTest,
+    untested_in_words,
+    verdict_in_words,
+)
 from planeopt.calibration.equations import AdjustmentError, Equations, Task, Weights, equations, free_values
 from planeopt.calibration.model import Model
 from planeopt.calibration.noise import ELLIPSE
@@ -35,44 +48,12 @@ from planeopt.calibration.rig_evidence import Extra, RigEvidence, found_from
 from planeopt.calibration.spot_evidence import spots_against, spots_together
 from planeopt.calibration.state import State
 from planeopt.errors import InputError
-from planeopt.estimation.misfits import LEVEL
 from planeopt.rig import Rig, RigCovariance
 
 Array = NDArray[np.float64]
 
 BOW_MM = 0.2
 """Standard deviation of how far a board's middle lies off its edges, unless given."""
-
-UNTESTED = (
-    "The board's squares are taken as stated: a board that is larger than that by a share looks like a focal length as "
-    "it was and a beam larger by that share. The noise of the corners is told from these views, not compared with the "
-    "calibration's."
-)
-"""What no views of one board can test."""
-
-
-class BoardState(Enum):
-    """What the views say of the rig; the value is the sentence a user reads."""
-
-    OK = "The views of the board agree with the rig, as far as they can test it."
-    DEGRADED = "The rig is not as calibrated."
-    UNTESTED = "No view of the board could be used to test the rig."
-
-
-class BoardPart(Enum):
-    """What is tested; the value says what it means where it fails."""
-
-    POOLED = "The views together contradict the rig."
-    SHIFT = "The rig's parameters are not those of the file."
-    REST = "The rig differs from its file in what the calibration held fixed."
-    SPOTS = "The spots' boundaries have misfits that no change of the rig explains: the points, or their sigma."
-
-
-TEST_LEVEL = LEVEL / len(BoardPart)
-"""Of each part: together they are wrong no more often than `LEVEL`."""
-
-POWER = 0.9
-"""Probability with which the changes are found that are said to be found."""
 
 _ROUNDS = 3
 _STEPS = 10
@@ -81,107 +62,6 @@ _HALVINGS = 6
 _SCATTER_PX = 1.0
 # Of chi-squared: what a further step may still gain.
 _NEAR = 1e-4
-
-
-@dataclass(frozen=True)
-class BoardTest:
-    """One part of the evidence; ``p_value`` is how often a right rig does worse."""
-
-    part: BoardPart
-    chi2: float
-    dof: float
-    p_value: float
-
-    @property
-    def ok(self) -> bool:
-        return self.p_value >= TEST_LEVEL
-
-
-@dataclass(frozen=True)
-class BoardChange:
-    """One parameter: the file's, updated by the views with the calibration as prior, and what would be found.
-
-    Attributes
-    ----------
-    name, unit : str
-    before, sigma_before : float
-        The file's.
-    after, sigma_after : float
-        The update.
-    sigmas : float
-        The change in standard deviations of the change that a rig as calibrated would give.
-    found_from : float
-        Change of this parameter alone that is found with probability `POWER`; infinite where none is.
-    """
-
-    name: str
-    unit: str
-    before: float
-    sigma_before: float
-    after: float
-    sigma_after: float
-    sigmas: float
-    found_from: float
-
-
-@dataclass(frozen=True)
-class ViewTest:
-    """One view against the rig with its covariance; None where the view has no spot, or cannot test."""
-
-    name: str
-    corners: int
-    rms_px: float
-    chi2: float | None
-    dof: int
-    p_value: float | None
-    spot_chi2: float | None
-    spot_p_value: float | None
-
-
-@dataclass(frozen=True, eq=False)
-class BoardCheck:
-    """A rig against new views of a board.
-
-    Attributes
-    ----------
-    state : BoardState
-    verdict : str
-        ``OK``, ``DEGRADED`` or ``UNTESTED``, and why.
-    tests : tuple of BoardTest
-        Those that the views allow.
-    causes : tuple of Moved
-        Where the shift fails: the fewest groups whose change explains it, each with what it adds to the others.
-    instead : tuple of str
-        Groups of which a change explains it as well as that of the one cause that is named.
-    groups : tuple of Moved
-        Each as if it alone had moved.
-    changes : tuple of BoardChange
-    views : tuple of ViewTest
-    updated : Rig or None
-        The rig updated by the views, the calibration being the prior; to first order.
-    corner_sigma : float or None
-        Noise of a coordinate of a corner, px, as the views show it.
-    untested : str
-        What could not be tested.
-    adjustment : Adjustment or None
-    """
-
-    state: BoardState
-    verdict: str
-    tests: tuple[BoardTest, ...] = ()
-    causes: tuple[Moved, ...] = ()
-    instead: tuple[str, ...] = ()
-    groups: tuple[Moved, ...] = ()
-    changes: tuple[BoardChange, ...] = ()
-    views: tuple[ViewTest, ...] = ()
-    updated: Rig | None = None
-    corner_sigma: float | None = None
-    untested: str = UNTESTED
-    adjustment: Adjustment | None = None
-
-    @property
-    def ok(self) -> bool:
-        return self.state is BoardState.OK
 
 
 def check_board(observations: Observations, rig: Rig, *, bow_mm: float = BOW_MM) -> BoardCheck:
@@ -228,7 +108,10 @@ def check_board(observations: Observations, rig: Rig, *, bow_mm: float = BOW_MM)
             f"the corners scatter by {fit.corner_sigma:.2g} px about any board that the views allow: these are not "
             "views of this board, or it is not flat"
         )
-    return _judged(fit, rig, basis_of(rig, model, reach, bow_mm))
+    try:
+        return _judged(fit, rig, basis_of(rig, model, reach, bow_mm))
+    except (InputError, np.linalg.LinAlgError) as reason:
+        return _untested(f"the views and the rig file do not go together: {reason}")
 
 
 def _untested(reason: str) -> BoardCheck:
@@ -314,10 +197,10 @@ def _judged(fit: Adjustment, rig: Rig, basis: Basis) -> BoardCheck:
         views,
         _updated(rig, evidence, basis),
         fit.corner_sigma,
-        _untested_words(changes, basis, fit),
+        untested_in_words(changes, basis, fit),
         fit,
     )
-    return replace(result, verdict=_verdict(result, rig, basis.fixed))
+    return replace(result, verdict=verdict_in_words(result, rig, basis.fixed))
 
 
 def _measured(
@@ -370,9 +253,6 @@ def _tests(
     )
 
 
-_UNDERFLOW = 1e-300
-
-
 def _changes(evidence: RigEvidence, basis: Basis) -> tuple[BoardChange, ...]:
     sigma_before, sigma_after, expected = (
         np.sqrt(np.maximum(np.diagonal(matrix), 0.0)) for matrix in (basis.sigma, evidence.updated, evidence.expected)
@@ -415,50 +295,3 @@ def _view(row: int, fit: Adjustment, linear: _Linear, basis: Basis, spot: float)
         float(spot) if has_spot else None,
         float(scipy.stats.chi2.sf(spot, ELLIPSE)) if has_spot else None,
     )
-
-
-def _untested_words(changes: Sequence[BoardChange], basis: Basis, fit: Adjustment) -> str:
-    """What these views could not test, and what none of one board can."""
-    reach = dict(zip(basis.names, basis.reach.tolist(), strict=True))
-    words = []
-    blind = [
-        group
-        for group, members in GROUPS.items()
-        if group != "the board's bow"
-        and any(change.name in members for change in changes)
-        and all(change.found_from > reach[change.name] for change in changes if change.name in members)
-    ]
-    if blind:
-        words.append(f"Not tested by these views, but for gross changes: {', '.join(blind)}.")
-    if not fit.spot_used.any():
-        words.append("Not tested, since no view has a spot: the beam.")
-    return " ".join([*words, UNTESTED])
-
-
-def _verdict(result: BoardCheck, rig: Rig, fixed: Sequence[str]) -> str:
-    words = [f"{result.state.name}: {result.state.value}"]
-    words += [f"{test.part.value.removesuffix('.')} ({_numbers(test)})." for test in result.tests if not test.ok]
-    if any(test.part is BoardPart.REST and not test.ok for test in result.tests):
-        words.append(f"Held fixed were {', '.join(fixed)}.")
-    if result.causes:
-        words.append(f"What explains it: {'; '.join(map(_cause, result.causes))}.")
-    if result.instead:
-        words.append(f"As well could it be {' or '.join(result.instead)}.")
-    if result.ok:
-        words.append(" ".join(f"{test.part.name.capitalize()}: {_numbers(test)}." for test in result.tests[:1]))
-    if not result.ok and rig.covariance is None:
-        words.append("The rig file has no covariance: an error that the calibration itself left counts as a change.")
-    return " ".join(words)
-
-
-def _numbers(test: BoardTest) -> str:
-    p_value = f"p = {test.p_value:.2g}" if test.p_value > _UNDERFLOW else f"p < {_UNDERFLOW}"
-    return f"chi-squared {test.chi2:.4g} with {test.dof:.3g} degrees of freedom, {p_value}"
-
-
-def _cause(moved: Moved) -> str:
-    listed = ", ".join(
-        f"{name} by {value:+.3g} +- {sigma:.2g}{'' if unit == '1' else ' ' + unit}"
-        for name, unit, value, sigma in moved.changes
-    )
-    return f"{moved.group} ({listed}; {np.sqrt(moved.chi2):.1f} sigma)"

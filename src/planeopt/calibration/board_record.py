@@ -7,7 +7,8 @@ from typing import Literal
 import msgspec
 
 from planeopt.calibration.board_causes import Moved
-from planeopt.calibration.board_check import BoardChange, BoardCheck, BoardState, BoardTest, ViewTest, check_board
+from planeopt.calibration.board_check import check_board
+from planeopt.calibration.board_verdict import BoardChange, BoardCheck, BoardState, BoardTest, ViewTest
 from planeopt.calibration.detection import Detected, ImageStatus
 from planeopt.check import CheckStatus, Verdict
 from planeopt.record import finite
