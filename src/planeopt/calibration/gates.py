@@ -33,6 +33,7 @@ _LOOSE = 0.15, 0.1, 0.1
 image's width, of the distortion at the image's corner over its radius. Tilted views overrule it; without them f must
 not run off to where there is no perspective."""
 _HOPELESS_DEG = 3.0
+_A_FEW = 10
 
 
 def judge(
@@ -111,8 +112,13 @@ def judge_unadjusted(
 
 def hopelessly_frontal(observations: Observations) -> bool:
     """Whether no view is tilted by as much as 3 degrees: an adjustment would run off with the focal length, slowly."""
-    loose = _loosely_adjusted(observations)
-    return loose is not None and float(gates_poses.tilts(loose.state).max()) < _HOPELESS_DEG
+    # One tilted view is enough to know: a few are looked at first, all only where none of them is.
+    few = observations.views[:: max(1, len(observations.views) // _A_FEW)]
+    for views in (few, observations.views):
+        loose = _loosely_adjusted(replace(observations, views=views))
+        if loose is None or float(gates_poses.tilts(loose.state).max()) >= _HOPELESS_DEG:
+            return False
+    return True
 
 
 def _seen(observations: Observations, images: Sequence[Image], used: Sequence[bool] | None) -> tuple[Gate | None, ...]:
