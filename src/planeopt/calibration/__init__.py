@@ -7,7 +7,6 @@ recorded (`record`). `calibrate` does all of it.
 
 from planeopt.calibration.adjustment import Adjustment, adjust, refit
 from planeopt.calibration.board_check import check_board
-from planeopt.calibration.routine import Calibration, Options, calibrate
 from planeopt.calibration.detection import Detected, ImageStatus, detect, detect_image
 from planeopt.calibration.equations import AdjustmentError, Prior
 from planeopt.calibration.gate import Gate
@@ -15,6 +14,7 @@ from planeopt.calibration.ladder import Tested
 from planeopt.calibration.model import Model
 from planeopt.calibration.noise import Noise
 from planeopt.calibration.recalibration import recalibrate
+from planeopt.calibration.routine import Calibration, Options, calibrate
 from planeopt.calibration.session import Session, load_session
 
 __all__ = [
