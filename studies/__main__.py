@@ -10,7 +10,7 @@ from typing import cast
 from planeopt.executors import processes
 from studies.study import Study, put_headline, write
 
-STUDIES = ("image", "efficiency", "coverage", "many_images", "calibration")
+STUDIES = ("image", "efficiency", "coverage", "many_images", "calibration", "rig_checks")
 RESULTS = Path(__file__).parent / "results"
 
 

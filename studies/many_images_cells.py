@@ -104,17 +104,17 @@ def _frames_row(cell: tuple[int, int]) -> CombineRow:
     rng = np.random.default_rng([1, n])
     rig = uncertain_rig()
     plane = rig.plane_from_pose(SpotPose.canonical(rig.require_beam().radius / np.cos(0.5), 240.0, 0.5, 0.8))
-    trues = [_drawn(rig, rng) for _ in range(draws)]
-    taken = _groups(solve_batch([spot for true in trues for spot in _spots(true, [plane] * n, rng)], rig), n)
-    right = _groups(solve_batch(_spots(rig, [plane] * (n * draws), rng), rig), n)
+    trues = [drawn(rig, rng) for _ in range(draws)]
+    taken = _groups(solve_batch([spot for true in trues for spot in spots_of(true, [plane] * n, rng)], rig), n)
+    right = _groups(solve_batch(spots_of(rig, [plane] * (n * draws), rng), rig), n)
     total, spot, believing, scatter, sigmas = [], [], [], [], []
     for true, solutions, of_right_rig in zip(trues, taken, right, strict=True):
-        truth, result = _true(true, plane), combine(solutions, rig)
-        total.append(_squared(_plane(result.pose) - truth, result.covariance))
-        believing.append(_squared(*_believing(solutions, rig, truth)))
+        truth, result = true_plane(true, plane), combine(solutions, rig)
+        total.append(squared(_plane(result.pose) - truth, result.covariance))
+        believing.append(squared(*_believing(solutions, rig, truth)))
         scatter.append(result.chi2)
         alone = combine(of_right_rig, rig)
-        spot.append(_squared(_plane(alone.pose) - _true(rig, plane), alone.uncertainty.spot))
+        spot.append(squared(_plane(alone.pose) - true_plane(rig, plane), alone.uncertainty.spot))
         sigmas.append([np.diagonal(part) for part in (alone.uncertainty.spot, alone.uncertainty.rig)])
     (z_spot, *slopes_spot), (z_rig, *slopes_rig) = np.mean(sigmas, axis=0)
     return CombineRow(
@@ -138,9 +138,9 @@ def _check_row(cell: tuple[int, float], *, mode: Mode) -> CheckRow:
     rig = uncertain_rig()
     spots = []
     for _ in range(batches):
-        true = _drawn(rig, rng)
+        true = drawn(rig, rng)
         turned = true.with_parameters({"direction_x": true.parameter("direction_x") + 1e-3 * turn})
-        spots += _spots(turned, _planes(rig, n, rng), rng)
+        spots += spots_of(turned, planes_of(rig, n, rng), rng)
     taken = _groups(solve_batch(spots, rig), n)
     found = [drift(solutions, rig) for solutions in taken]
     summed = [sum(solution.chi2 or 0.0 for solution in solutions) for solutions in taken]
@@ -164,11 +164,11 @@ def _check_row(cell: tuple[int, float], *, mode: Mode) -> CheckRow:
     )
 
 
-def _drawn(rig: Rig, rng: np.random.Generator) -> Rig:
+def drawn(rig: Rig, rng: np.random.Generator) -> Rig:
     """A rig drawn from the covariance of this one."""
-    nominal = np.array([rig.parameter(name) for name in NAMES])
-    values = nominal + _root(rig) @ rng.normal(size=len(NAMES))
-    return replace(rig, covariance=None).with_parameters(dict(zip(NAMES, values.tolist(), strict=True)))
+    names = () if rig.covariance is None else rig.covariance.parameters
+    values = np.array([rig.parameter(name) for name in names]) + _root(rig) @ rng.normal(size=len(names))
+    return replace(rig, covariance=None).with_parameters(dict(zip(names, values.tolist(), strict=True)))
 
 
 def _root(rig: Rig) -> Array:
@@ -176,7 +176,7 @@ def _root(rig: Rig) -> Array:
     return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
 
 
-def _planes(rig: Rig, n: int, rng: np.random.Generator) -> list[Plane]:
+def planes_of(rig: Rig, n: int, rng: np.random.Generator) -> list[Plane]:
     """Planes 160 to 320 mm away, tilted 3 to 57 deg in all directions."""
     radius = rig.require_beam().radius
     drawn = ((rng.uniform(160, 320), rng.uniform(0.05, 1.0), rng.uniform(-3.1, 3.1)) for _ in range(n))
@@ -185,7 +185,7 @@ def _planes(rig: Rig, n: int, rng: np.random.Generator) -> list[Plane]:
     ]
 
 
-def _spots(true: Rig, planes: Sequence[Plane], rng: np.random.Generator) -> list[Spot]:
+def spots_of(true: Rig, planes: Sequence[Plane], rng: np.random.Generator) -> list[Spot]:
     """What the true rig's camera sees, with noise across the boundary."""
     angle = np.linspace(0, 2 * np.pi, N_POINTS, endpoint=False)
     outlines: dict[Plane, tuple[Array, Array]] = {}
@@ -205,7 +205,8 @@ def _groups(solutions: Iterable[Solution], n: int) -> list[list[Solution]]:
     return [listed[i : i + n] for i in range(0, len(listed), n)]
 
 
-def _true(rig: Rig, plane: Plane) -> Array:
+def true_plane(rig: Rig, plane: Plane) -> Array:
+    """``(z_L, p, q)`` of a plane."""
     return _plane(rig.pose_from_plane(plane))
 
 
@@ -213,7 +214,8 @@ def _plane(pose: SpotPose) -> Array:
     return np.array([pose.z_L, *pose.slopes])
 
 
-def _squared(error: Array, covariance: Array) -> float:
+def squared(error: Array, covariance: Array) -> float:
+    """Squared length of an error in its covariance."""
     return float(error @ np.linalg.solve(covariance, error))
 
 
