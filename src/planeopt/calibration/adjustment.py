@@ -235,10 +235,19 @@ def adjust(
     _enough(task)
     job = _Job(observations, task, noise, held)
     try:
-        state = _near(job, approach(task, held) if start is None else start)
+        from_here = approach(task, held) if start is None else _with_one_focal_length(start, model)
+        state = _near(job, from_here)
         return job.finish(state, reject=reject)
     except np.linalg.LinAlgError as error:
         raise AdjustmentError("The observations do not determine the free parameters: too few views.") from error
+
+
+def _with_one_focal_length(state: State, model: Model) -> State:
+    """Return a state with fx and fy equal where they are one parameter."""
+    if not model.camera or model.focal == "separate" or state.value("fx") == state.value("fy"):
+        return state
+    both = (state.value("fx") + state.value("fy")) / 2
+    return replace(state, values=np.where(np.isin(FULL, ("fx", "fy")), both, state.values))
 
 
 def refit(adjustment: Adjustment, model: Model) -> Adjustment:
@@ -264,8 +273,7 @@ def refit(adjustment: Adjustment, model: Model) -> Adjustment:
     weights = Weights(corners, given.boundary * adjustment.spot_used[:, None])
     dropped = [name for name in adjustment.names if name not in model.names and name in _MAY_VANISH]
     start = replace(adjustment.state, values=np.where(np.isin(FULL, dropped), 0.0, adjustment.state.values))
-    if model.focal == "shared":
-        start.values[FULL.index("fy")] = start.value("fx")
+    start = _with_one_focal_length(start, model)
     task = Task(packed, model, bool(adjustment.spot_used.any()) and model.beam != "none", adjustment.prior)
     try:
         return _Job(observations, task, adjustment.noise, adjustment.held).fit(start, weights, adjustment.noise)

@@ -1,13 +1,19 @@
 """Is the board as long and as wide as stated? Images cannot tell its size, but they tell its proportion."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from planeopt.calibration.adjustment import Adjustment
+from planeopt.board import Board
+from planeopt.calibration.adjustment import Adjustment, adjust
 from planeopt.calibration.per_view import joined, linearised
 from planeopt.calibration.projection import Linear
 
 Array = NDArray[np.float64]
+
+_STEPS = 3
+"""Of a share that is small: what a step leaves of it is of the order of its square."""
 
 
 def board_stretch(adjustment: Adjustment) -> tuple[float, float]:
@@ -35,6 +41,41 @@ def board_stretch(adjustment: Adjustment) -> tuple[float, float]:
     inverse = np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-13, hermitian=True)
     covariance = inverse * np.outer(scale, scale)
     return float(covariance[-1] @ pull), float(np.sqrt(covariance[-1, -1]))
+
+
+def in_proportion(adjustment: Adjustment) -> tuple[Adjustment, float]:
+    """Adjust again with squares of the proportion that the images say, one focal length, and return that proportion.
+
+    Parameters
+    ----------
+    adjustment : Adjustment
+
+    Returns
+    -------
+    Adjustment
+        To a board that is stretched so that `board_stretch` of it is zero to rounding.
+    share : float
+        By how much its height over its width is larger than stated.
+
+    Raises
+    ------
+    AdjustmentError
+        If there is no such adjustment.
+    """
+    model, stated = replace(adjustment.model, focal="shared"), adjustment.observations.board
+    share, found = 0.0, adjustment
+    for _ in range(_STEPS):
+        share += board_stretch(found)[0]
+        observations = replace(adjustment.observations, board=_stretched(stated, share))
+        found = adjust(observations, model, prior=adjustment.prior, start=found.state, held=adjustment.held)
+    return found, share
+
+
+def _stretched(board: Board, share: float) -> Board:
+    x, y = 1 - share / 2, 1 + share / 2
+    window = None if board.window_mm is None else tuple(np.multiply(board.window_mm, [x, y, x, y]).tolist())
+    sides = board.square_mm[0] * x, board.square_mm[1] * y
+    return replace(board, square_mm=sides, marker_mm=board.marker_mm * min(x, y), window_mm=window)
 
 
 def _with(linear: Linear, selection: Array, column: Array) -> Linear:

@@ -9,6 +9,7 @@ import numpy as np
 from planeopt.board import Observations
 from planeopt.calibration import gates_fit, gates_poses, gates_seen
 from planeopt.calibration.adjustment import Adjustment, adjust
+from planeopt.calibration.board_stretch import board_stretch, in_proportion
 from planeopt.calibration.equations import AdjustmentError, Prior
 from planeopt.calibration.gate import Gate, at_most
 from planeopt.calibration.gates_seen import Image
@@ -68,13 +69,14 @@ def judge(
     observations, state = adjustment.observations, adjustment.state
     tests, expect = tests or {}, expect or {}
     lit = adjustment.spot_used
+    camera, sizes = _camera_and_size_gates(adjustment, expect)
     return _present(
         *_seen(observations, images, lit.tolist()),
         *gates_poses.tilt_gates(state),
-        _camera_gate(adjustment),
+        *camera,
         gates_poses.spot_depth_gate(state, lit) if adjustment.model.beam == "free" else None,
         gates_poses.board_depth_gate(observations, state),
-        *gates_fit.size_gates(adjustment, expect),
+        *sizes,
         gates_fit.view_gate(adjustment),
         gates_fit.bow_gate(adjustment, tests),
         gates_fit.residual_gate(adjustment),
@@ -135,6 +137,24 @@ def _camera_gate(adjustment: Adjustment) -> Gate | None:
     """Judge whether there is one camera, where the tilts tell a camera at all."""
     frontal = gates_poses.tilts(adjustment.state).max() < gates_poses.FRONTAL
     return None if frontal else gates_fit.camera_gate(adjustment)
+
+
+def _camera_and_size_gates(
+    adjustment: Adjustment, expect: Mapping[str, tuple[float, float]]
+) -> tuple[tuple[Gate | None, ...], tuple[Gate, ...]]:
+    """Judge the camera and the squares; those of a wrong proportion look like two cameras and are put right first."""
+    camera = _camera_gate(adjustment)
+    if camera is not None and camera.state != "ok" and adjustment.model.camera:
+        try:
+            found, share = in_proportion(adjustment)
+        except AdjustmentError as error:
+            _log.debug("no adjustment in proportion: %s", error)
+        else:
+            one = _camera_gate(found)
+            if one is not None and one.state == "ok":
+                sizes = gates_fit.size_gates(adjustment, expect, (share, board_stretch(found)[1]))
+                return (one,), sizes
+    return (camera,), gates_fit.size_gates(adjustment, expect, board_stretch(adjustment))
 
 
 def _loosely_adjusted(observations: Observations) -> Adjustment | None:

@@ -6,7 +6,6 @@ import numpy as np
 from scipy.stats import f as fisher
 
 from planeopt.calibration.adjustment import Adjustment
-from planeopt.calibration.board_stretch import board_stretch
 from planeopt.calibration.gate import Gate, at_most
 from planeopt.calibration.gates_seen import names
 from planeopt.calibration.ladder import Tested
@@ -102,7 +101,9 @@ def spot_fit_gate(adjustment: Adjustment) -> Gate | None:
     return Gate("spot residuals", state, rms, _BOUNDARY_PX, told + (tail or "."), symptom=True)
 
 
-def size_gates(adjustment: Adjustment, expect: Mapping[str, tuple[float, float]]) -> tuple[Gate, ...]:
+def size_gates(
+    adjustment: Adjustment, expect: Mapping[str, tuple[float, float]], stretch: tuple[float, float]
+) -> tuple[Gate, ...]:
     """Judge the squares' size: their proportion by the images, their size by what is known otherwise.
 
     Parameters
@@ -110,6 +111,8 @@ def size_gates(adjustment: Adjustment, expect: Mapping[str, tuple[float, float]]
     adjustment : Adjustment
     expect : mapping of str to (float, float)
         Stated values with their tolerances: names of parameters, with `_mm` or `_px` if liked, or `f_mm`.
+    stretch : tuple of float
+        From `board_stretch`.
 
     Raises
     ------
@@ -117,11 +120,10 @@ def size_gates(adjustment: Adjustment, expect: Mapping[str, tuple[float, float]]
         If a name is not known, or needs a beam or a pixel pitch that is not there.
     """
     stated = tuple(_expected_gate(adjustment, name, *pair) for name, pair in expect.items())
-    return (*stated, _proportion_gate(adjustment)) if adjustment.model.camera else stated
+    return (*stated, _proportion_gate(adjustment, *stretch)) if adjustment.model.camera else stated
 
 
-def _proportion_gate(adjustment: Adjustment) -> Gate:
-    stretch, sigma = board_stretch(adjustment)
+def _proportion_gate(adjustment: Adjustment, stretch: float, sigma: float) -> Gate:
     x, y = adjustment.observations.board.square_mm
     certain = abs(stretch) > _STRETCH_SIGMAS * sigma
     state = at_most(abs(stretch), *_STRETCH) if certain else "ok"
