@@ -1,9 +1,11 @@
 """What a calibration's accuracy depends on: the number of views, their tilts, their depths."""
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.stats
 
 from planeopt.calibration.equations import AdjustmentError
 from planeopt.calibration.pose_cost import pose_cost
@@ -34,7 +36,7 @@ class AccuracyRow:
     seed : int
     outcome : str
     f_relative, f_error : float
-        Standard deviation of f and its error, over f.
+        Standard deviation of f over f, and its error over the true one.
     offset_mm, radius_mm, direction_mrad : float
         Standard deviations: of (e_x, e_y) and of the direction, root of the sum of squares, and of the radius.
     z_L_relative, normal_deg : float
@@ -89,7 +91,7 @@ def _measured(job: _Job) -> AccuracyRow:
         (cost,) = pose_cost(fit.rig, np.array([[depth, _PLANE_TILT, 0.5]]))
     except (AdjustmentError, InputError) as error:
         return AccuracyRow(job.varied, job.value, job.seed, " ".join(str(error).split()), *[NAN] * 7)
-    f = fit.value("f")
+    f, true = fit.value("f"), truth_of(session)["f"]
     offset, direction = (np.hypot(fit.sigma(f"{a}_x"), fit.sigma(f"{a}_y")) for a in ("e", "direction"))
     return AccuracyRow(
         job.varied,
@@ -97,10 +99,22 @@ def _measured(job: _Job) -> AccuracyRow:
         job.seed,
         "calibrated",
         fit.sigma("f") / f,
-        (f - truth_of(session)["f"]) / f,
+        (f - true) / true,
         float(offset),
         fit.sigma("radius"),
         float(1e3 * direction),
         cost.sigma_z_L / depth,
         float(np.degrees(cost.sigma_normal)),
     )
+
+
+def typical_error(rows: Sequence[AccuracyRow], varied: str, value: float) -> float:
+    """Return the standard deviation of f's error, over f, as the median of its size tells it."""
+    errors = [row.f_error for row in rows if (row.varied, row.value) == (varied, value)]
+    return float(np.nanmedian(np.abs(errors)) / scipy.stats.norm.ppf(0.75))
+
+
+def worst_in_sigmas(rows: Sequence[AccuracyRow], varied: str, value: float) -> float:
+    """Return the largest error of f in its own standard deviations."""
+    own = [row for row in rows if (row.varied, row.value) == (varied, value)]
+    return float(np.nanmax([abs(row.f_error) / (1 + row.f_error) / row.f_relative for row in own]))

@@ -7,7 +7,7 @@ import scipy.stats
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from studies.calibration_accuracy import AccuracyRow
+from studies.calibration_accuracy import AccuracyRow, typical_error
 from studies.calibration_fits import QUANTITIES, Errors, of
 from studies.calibration_judged import Groups, Judged, pooled
 from studies.calibration_models import BOWED, OBLIQUE, ModelRow
@@ -119,6 +119,9 @@ def _draws(judged: Judged, session: str) -> int:
     return next(row.draws for row in judged.repeats if row.session == session)
 
 
+_NEAR = 1.2
+"""Depth ratios below have no room for a tick of their own but the first."""
+
 _PANELS = {
     "views": "views (tilt to 40°, depths 1:2)",
     "tilt": "largest tilt, degrees (15 views, depths 1:2)",
@@ -133,7 +136,7 @@ def accuracy_figure(rows: Sequence[AccuracyRow]) -> Figure:
     offset = [_median(rows, "depths", value, "offset_mm") for value in (near, far)]
     heading = (
         f"Tilt makes f: {f[0]:.2g} % at {low:g}°, {f[1]:.2g} % at {high:g}°; depths make the offset: {offset[0]:.2g} "
-        f"mm at 1:{near:g}, {offset[1]:.2g} mm at 1:{far:g}; crosses: RMS error of f"
+        f"mm at 1:{near:g}, {offset[1]:.2g} mm at 1:{far:g}; crosses: errors of f"
     )
     with figure(13.0, 4.6, heading) as made:
         grid = np.ravel(made.subplots(1, 3, sharey=True))
@@ -148,13 +151,11 @@ def accuracy_figure(rows: Sequence[AccuracyRow]) -> Figure:
             ):
                 medians = [scale * _median(rows, varied, value, name) for value in values]
                 axes.plot(values, medians, "-", marker=marker, ms=4, color=colour, lw=1.3, label=text)
-            errors = [
-                100 * np.sqrt(np.mean(np.array([r.f_error for r in rows if (r.varied, r.value) == (varied, v)]) ** 2))
-                for v in values
-            ]
+            errors = [100 * typical_error(rows, varied, value) for value in values]
             axes.plot(values, errors, "x", color=DARK, ms=6)
             axes.set(xlabel=label, yscale="log", xscale="linear" if varied == "depths" else "log")
-            axes.set_xticks(values, [f"{value:g}" for value in values])
+            ticks = [value for value in values if varied != "depths" or value == values[0] or value > _NEAR]
+            axes.set_xticks(ticks, [f"{value:g}" for value in ticks])
             axes.minorticks_off()
             axes.grid()
         grid[0].set_ylabel("standard deviation, median over sessions")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studies.calibration_accuracy import AccuracyRow
+from studies.calibration_accuracy import AccuracyRow, typical_error, worst_in_sigmas
 from studies.calibration_fits import POSE, QUANTITIES, of
 from studies.calibration_images import ImageRow
 from studies.calibration_judged import IMAGES, LEVELS, PLANES, POINTS, Judged, groups_of, pooled
@@ -188,12 +188,16 @@ def finding(
         f"and 95 % intervals would hold the truth in {_apart_coverage(by_default)} % of cases: the offset is as "
         "uncertain as the principal point, and the two move together.",
         "",
-        "**What the accuracy depends on** (medians of standard deviations; corners 0.2 px, boundaries 0.1 px; 15 "
-        "views, tilts to 40 degrees, depth ratio 2 unless varied):",
+        "**What the accuracy depends on** (medians of standard deviations, and the errors' own, as the median of their "
+        "size tells it; corners 0.2 px, boundaries 0.1 px; 15 views, tilts to 40 degrees, depth ratio 2 but where "
+        "varied):",
         "",
-        "| varied | value | f (%) | e (mm) | r (mm) | direction (mrad) | z_L (%) | normal (deg) |",
-        "|---|---|---|---|---|---|---|---|",
+        "| varied | value | f (%) | error of f (%) | e (mm) | r (mm) | direction (mrad) | z_L (%) | normal (deg) |",
+        "|---|---|---|---|---|---|---|---|---|",
         *_accuracies(accuracy),
+        "",
+        f"Where views are hardly tilted the errors are not of first order: {_flat(accuracy)}. `calibrate` refuses "
+        "sessions without views tilted by 10 degrees or more.",
         "",
         "**Models** that lack something, or are chosen by a test (RMS errors; medians of standard deviations):",
         "",
@@ -232,7 +236,8 @@ def _pooled_limits(judged: Judged) -> str:
 
 def _apart_coverage(rows: Sequence[SessionRow]) -> str:
     shares = [100 * float(np.mean(np.abs(of(rows, f"{name}_apart")) <= _TWO_SIDED_95)) for name in POSE]
-    return f"{min(shares):.0f} to {max(shares):.0f}"
+    low, high = f"{min(shares):.0f}", f"{max(shares):.0f}"
+    return low if low == high else f"{low} to {high}"
 
 
 _VARIED = {"views": "views", "tilt": "largest tilt (deg)", "depths": "depth ratio"}
@@ -246,14 +251,25 @@ def _accuracies(rows: Sequence[AccuracyRow]) -> Iterator[str]:
             for name in ("f_relative", "offset_mm", "radius_mm", "direction_mrad", "z_L_relative", "normal_deg")
         )
         yield (
-            f"| {_VARIED[varied]} | {value:g} | {100 * f:.2g} | {offset:.2g} | {radius:.2g} | {direction:.2g} | "
+            f"| {_VARIED[varied]} | {value:g} | {100 * f:.2g} | "
+            f"{100 * typical_error(rows, varied, value):.2g} | {offset:.2g} | {radius:.2g} | {direction:.2g} | "
             f"{100 * z_L:.2g} | {normal:.2g} |"
         )
 
 
+def _flat(rows: Sequence[AccuracyRow]) -> str:
+    tilts = sorted({row.value for row in rows if row.varied == "tilt"})
+    worst = [f"{worst_in_sigmas(rows, 'tilt', tilt):.1f} at {tilt:g}" for tilt in tilts]
+    return f"the worst f is off by so many own standard deviations (at tilts to, in degrees): {', '.join(worst)}"
+
+
 def _models(rows: Sequence[ModelSummary]) -> Iterator[str]:
     for row in rows:
-        off = f"{row.off_axis_mrad:.2f} ± {row.off_axis_sigma_mrad:.2f}" if row.case == OBLIQUE else ""
+        off = (
+            f"{row.off_axis_mrad:.2f} ± {row.off_axis_sigma_mrad:.2f}"
+            if row.case == OBLIQUE and row.off_axis_sigma_mrad > 0
+            else ""
+        )
         yield (
             f"| {row.case} | {row.model} | {100 * row.f_bias:.2g}, {100 * row.f_relative:.2g} | "
             f"{100 * row.covered_95:.0f} | {LABELS[row.worst]}: {100 * row.worst_95:.0f} % | {off} | "
