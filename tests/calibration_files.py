@@ -109,6 +109,7 @@ def _image(name: str, reason: str, corners: int) -> ImageRecord:
         spot_reason="",
         spot_flags=(),
         blur_px=0.8,
+        marker_share=None if reason else 0.74,
     )
 
 

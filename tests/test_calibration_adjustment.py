@@ -8,6 +8,7 @@ import pytest
 from scipy.stats import chi2
 
 from planeopt.board import Observations, View
+from planeopt.calibration import Options, calibrate
 from planeopt.calibration.adjustment import Adjustment, adjust, refit
 from planeopt.calibration.equations import AdjustmentError
 from planeopt.calibration.expected import expected_information
@@ -294,3 +295,33 @@ def test_the_principal_point_turns_the_beam_and_leaves_its_offset(fitted: Adjust
     names = rig.covariance.parameters
     row, column = names.index("cx"), names.index("direction_x")
     assert rig.covariance.correlation[row, column] < -0.9
+
+
+def test_copies_of_a_view_are_left_out(session: SimulatedSession):
+    views = session.observations.views
+    copies = (*views, replace(views[0], name="copy.png"), replace(views[3], name="another.png"))
+    found = calibrate(replace(session.observations, views=copies))
+    assert len(found.observations.views) == len(views)
+    alone = calibrate(session.observations)
+    assert found.rig == alone.rig
+
+
+def test_views_that_determine_no_pose_are_left_out(session: SimulatedSession):
+    view = session.observations.views[0]
+    columns = session.board.squares[0] - 1
+    ids = np.arange(columns)
+    places = np.stack([100.0 + 40 * ids, 200.0 + ids], axis=1).astype(np.float64)
+    row = View("row.png", ids, places, np.full(columns, 0.1))
+    few = _thinned(replace(view, name="few.png", spot=None), 5)
+    found = calibrate(replace(session.observations, views=(*session.observations.views, row, few)))
+    assert {view.name for view in found.observations.views} == {view.name for view in session.observations.views}
+
+
+def test_expectations_are_checked_at_once():
+    for expect, message in (
+        ({"radius_mm": (np.nan, 0.1)}, "radius_mm must be a number"),
+        ({"radius_mm": (6.0, 0.0)}, "positive tolerance"),
+        ({"colour": (6.0, 0.1)}, "'colour' is not one of"),
+    ):
+        with pytest.raises(InputError, match=message):
+            Options(expect=expect)

@@ -43,6 +43,7 @@ class Image:
     name: str
     status: str = "ok"
     reason: str = ""
+    marker_share: float | None = None
 
 
 REFUSED: dict[str, tuple[Any, str, str]] = {

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from planeopt.board import Board, load_board, save_board
 from planeopt.calibration.detection import Detected, ImageStatus, detect, detect_image
 from planeopt.calibration.detections_file import save_detections
+from planeopt.calibration.gates_seen import marker_gate
 from planeopt.calibration.session import load_session
 from planeopt.errors import InputError
 from planeopt.rig import Beam, Camera, Rig, load_rig
@@ -104,15 +105,18 @@ def test_an_image_without_a_board(wide: NDArray[np.uint8]):
     assert "too small" in detect_image(wide[:20, :200], BOARD)[1].reason
 
 
-def test_a_wrong_size_of_the_markers_is_remarked_upon(tmp_path: Path):
+def test_a_wrong_size_of_the_markers_is_seen(tmp_path: Path):
     folder = copied(tmp_path, "view10.png", "view05.png")
     save_board(replace(BOARD, marker_mm=6.0), folder / "board.toml")
     found = detect(load_session(folder))
     assert len(found.observations.views) == 2
-    (remark,) = found.remarks
-    assert "0.60 in board.toml, but about 0.7" in remark
-    save_board(BOARD, folder / "board.toml")
-    assert detect(load_session(folder)).remarks == ()
+    gate = marker_gate(found.images, found.observations.board)
+    assert gate is not None
+    assert gate.state == "refuse"
+    assert "0.60 in board.toml, but 0.7" in gate.sentence
+    right = marker_gate(found.images, BOARD)
+    assert right is not None
+    assert right.state == "ok"
 
 
 def same(one: Detected, other: Detected) -> bool:

@@ -26,7 +26,6 @@ from planeopt.spot.grey import to_grey
 MIN_CORNERS = 6
 """With fewer a view says hardly more than where its board is."""
 
-_OTHER_SHARE = 0.08  # of the markers' share of a square: OpenCV places a marker's corners to half a pixel
 _TYPICAL_BLUR = 1.5  # px: where the corners are another detector's, who does not say
 
 
@@ -77,13 +76,10 @@ class Detected:
         Of the images that are "ok".
     images : tuple of ImageStatus
         Of all of them, in order.
-    remarks : tuple of str
-        What of the session a person should look at again: sentences.
     """
 
     observations: Observations
     images: tuple[ImageStatus, ...]
-    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +124,7 @@ def detect(
         pixel_pitch_mm=session.pixel_pitch_mm,
     )
     images = tuple(one.status for one in seen)
-    return Detected(observations, images, _remarks(session.board, images))
+    return Detected(observations, images)
 
 
 def detect_image(
@@ -305,17 +301,6 @@ def _with_boundary(view: View, status: ImageStatus, file: Path, kind: SpotOnBoar
         return view, replace(status, spot_status="refused", spot_reason=f"there is no {file.name} with its boundary")
     spot = replace(read_points(file), kind="ring" if kind == "ring" else "disc", source=status.name)
     return replace(view, spot=spot), replace(status, spot_status="ok", spot_flags=spot.flags)
-
-
-def _remarks(board: Board, images: tuple[ImageStatus, ...]) -> tuple[str, ...]:
-    shares = [image.marker_share for image in images if image.marker_share is not None]
-    said = board.marker_mm / min(board.square_mm)
-    if shares and abs(float(np.median(shares)) / said - 1) > _OTHER_SHARE:
-        return (
-            f"marker_mm/square_mm is {said:.2f} in board.toml, but about {np.median(shares):.2f} in the images: "
-            "measure a marker and a square again.",
-        )
-    return ()
 
 
 def _size_of(session: Session, seen: list[_Seen]) -> tuple[int, int]:

@@ -120,7 +120,8 @@ class Observer:
     def information(self, state: State, seen: Seen) -> Array:
         """Return what views would add to the information (C, g, g) about the free parameters."""
         linear = linear_corners(self.board, seen.corners, state)
-        parts = [(linear, np.repeat(seen.corner_seen * self.corner_weight, 2, axis=1))]
+        weight = np.asarray(np.repeat(seen.corner_seen * self.corner_weight, 2, axis=1), dtype=np.float64)
+        parts = [(linear, weight)]
         if np.any(seen.spot_seen):
             lit = np.broadcast_to(seen.spot_seen[:, None], seen.boundary.shape[:2])
             # On a bowed board the boundary is a little elsewhere; its derivatives are not.

@@ -126,6 +126,7 @@ def hopelessly_frontal(observations: Observations) -> bool:
 def _seen(observations: Observations, images: Sequence[Image], used: Sequence[bool] | None) -> tuple[Gate | None, ...]:
     return (
         gates_seen.image_gate(images),
+        gates_seen.marker_gate(images, observations.board),
         gates_seen.mirror_gate(observations),
         gates_seen.view_gate(observations),
         gates_seen.spot_gate(observations, used),

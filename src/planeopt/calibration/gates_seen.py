@@ -1,5 +1,6 @@
 """Gates on what was seen, before anything is adjusted: images, mirror, views, coverage, spots."""
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from typing import Protocol
@@ -7,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from planeopt.board import Observations, View
+from planeopt.board import Board, Observations, View
 from planeopt.calibration.gate import Gate, at_least
 
 Array = NDArray[np.float64]
@@ -22,6 +23,7 @@ _CELLS = 8
 _COVERED = 0.5
 _REACHED = 0.7
 _MOST_REFUSED = 0.25
+_OTHER_SHARE = 0.08  # of the markers' share of a square: OpenCV places a marker's corners to half a pixel
 _COMMON = 0.5
 """Of the refused images: a reason that so many share is the session's."""
 
@@ -35,6 +37,8 @@ class Image(Protocol):
     def status(self) -> str: ...
     @property
     def reason(self) -> str: ...
+    @property
+    def marker_share(self) -> float | None: ...
 
 
 def image_gate(images: Sequence[Image]) -> Gate | None:
@@ -47,18 +51,44 @@ def image_gate(images: Sequence[Image]) -> Gate | None:
     if not refused:
         return Gate("images", "ok", 0.0, limits, f"The board was found in all {len(images)} images.")
     # What a reason says after its first sentence is about the one image.
-    heads = Counter(image.reason.split(". ")[0].rstrip(".") for image in refused)
-    head, count = heads.most_common(1)[0]
+    # Counts of markers and the like differ from image to image; the reason does not.
+    heads = Counter(_head(image.reason) for image in refused)
+    kind, count = heads.most_common(1)[0]
     named = names([image.name for image in refused])
     # What is left may be enough for a calibration all the same.
     lost = share >= _COMMON and len(images) - len(refused) < VIEWS_WANTED
     state = "refuse" if lost else "warn" if share > _MOST_REFUSED else "ok"
     told = f"{len(refused)} of {len(images)} images could not be used ({named})"
     if count > _COMMON * len(refused) or len(refused) == 1:
-        whole = next(image.reason for image in refused if image.reason.startswith(head)).rstrip(".")
+        whole = next(image.reason for image in refused if _head(image.reason) == kind).rstrip(".")
         return Gate("images", state, share, limits, f"{told}: {whole}.")
-    reasons = "; ".join(f"{number} x {reason}" for reason, number in heads.most_common(3))
+    firsts = {_head(image.reason): image.reason.split(". ")[0].rstrip(".") for image in reversed(refused)}
+    reasons = "; ".join(f"{number} x {firsts[head]}" for head, number in heads.most_common(3))
     return Gate("images", state, share, limits, f"{told}, for several reasons: {reasons}.")
+
+
+def _head(reason: str) -> str:
+    """Return the first sentence of a reason without its numbers."""
+    return re.sub(r"[0-9]+", "#", reason.split(". ")[0].rstrip("."))
+
+
+def marker_gate(images: Sequence[Image], board: Board) -> Gate | None:
+    """Judge whether the markers are as large beside the squares as stated: if not, one of the two sizes is wrong."""
+    shares = [image.marker_share for image in images if image.marker_share is not None]
+    if not shares:
+        return None
+    seen, stated = float(np.median(shares)), board.marker_mm / min(board.square_mm)
+    off = abs(seen / stated - 1)
+    if off <= _OTHER_SHARE:
+        return Gate("marker size", "ok", off, (None, _OTHER_SHARE), "Markers and squares have the proportion stated.")
+    return Gate(
+        "marker size",
+        "refuse",
+        off,
+        (None, _OTHER_SHARE),
+        f"marker_mm over square_mm is {stated:.2f} in board.toml, but {seen:.2f} in the images: one of them is wrong, "
+        "and all lengths follow square_mm. Measure many squares and a marker with a ruler, and state what they are.",
+    )
 
 
 def mirror_gate(observations: Observations) -> Gate | None:

@@ -72,6 +72,7 @@ def image_record(image: ImageStatus) -> ImageRecord:
         spot_reason=image.spot_reason,
         spot_flags=tuple(flag.name.lower() for flag in image.spot_flags),
         blur_px=float(image.blur),
+        marker_share=None if image.marker_share is None else float(image.marker_share),
     )
 
 
@@ -93,6 +94,7 @@ def detected_from_record(record: CalibrationFile) -> Detected:
             spot_reason=image.spot_reason,
             spot_flags=_flags(image.spot_flags, image.name),
             blur=image.blur_px,
+            marker_share=image.marker_share,
         )
         for image in record.images
     )

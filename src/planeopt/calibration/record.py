@@ -67,7 +67,10 @@ class ObservationsRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 
 
 class ImageRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What became of an image, its corners and its spot, and why; `blur_px` is that of the board's edges."""
+    """What became of an image, its corners and its spot, and why.
+
+    `blur_px` is that of the board's edges, `marker_share` the side of the markers over that of the squares, as seen.
+    """
 
     name: str
     status: Literal["ok", "refused"]
@@ -77,6 +80,7 @@ class ImageRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     spot_reason: str
     spot_flags: tuple[str, ...]
     blur_px: float
+    marker_share: float | None
 
 
 class OptionsRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -1,6 +1,7 @@
 """From a folder of board images to a rig that can be trusted, or to the reason why not."""
 
 import logging
+import math
 import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
@@ -17,7 +18,7 @@ from planeopt.calibration.gate import Gate, Verdict, verdict
 from planeopt.calibration.gates import hopelessly_frontal, judge, judge_unadjusted
 from planeopt.calibration.held_out import HeldOut, held_out
 from planeopt.calibration.ladder import Tested, climb, compare_terms
-from planeopt.calibration.model import RUNGS, BeamModel, Focal, Model, Rung
+from planeopt.calibration.model import FULL, RUNGS, BeamModel, Focal, Model, Rung
 from planeopt.calibration.next_view import NextView, next_view
 from planeopt.calibration.pose_cost import PoseCost, pose_cost, working_planes
 from planeopt.calibration.sections import beam_sections
@@ -30,6 +31,8 @@ _log = logging.getLogger(__name__)
 
 Progress = Callable[[str, int, int], object]
 """Called with a stage's name, and how many of how many of its parts are done."""
+
+_EXPECTABLE = ("f", *FULL)
 
 _FEW_VIEWS = 100
 """Up to so many are looked at for being all frontal, in which case an adjustment would wander for long."""
@@ -50,7 +53,7 @@ class Options:
     focal : {"auto", "shared", "separate"}
         One focal length or two; "auto" takes two where the test of squareness asks for it.
     distortion : {"auto", "none", "k1", "k2", "tangential", "k3"}
-        The rung of the ladder; "auto" tests (`planeopt.calibration.ladder.climb`).
+        The rung of the ladder; "auto" frees all five, kept to what lenses do (`planeopt.calibration.ladder.climb`).
     warp : bool
         Whether the board may be bowed. It costs little, and a bow that is left out is invisible.
     beam : {"free", "parallel", "none"}
@@ -86,6 +89,11 @@ class Options:
         ):
             if value not in known:
                 raise InputError(f"{name} must be one of {', '.join(known)}, not {value!r}")
+        for name, (value, tolerance) in self.expect.items():
+            if name.removesuffix("_mm").removesuffix("_px") not in _EXPECTABLE:
+                raise InputError(f"expect: {name!r} is not one of {', '.join(_EXPECTABLE)}, with _mm or _px if liked")
+            if not (math.isfinite(value) and 0 < tolerance < math.inf):
+                raise InputError(f"expect: {name} must be a number and a positive tolerance, not {value}, {tolerance}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,6 +235,7 @@ def _usable(
 ) -> tuple[Observations, tuple[ImageStatus, ...]]:
     """Leave out views whose corners determine no pose, and say so of their images."""
     reasons = {view.name: reason for view in observations.views if (reason := _no_pose(view, observations.board))}
+    reasons |= _copies(observations.views)
     for name, reason in reasons.items():
         _log.info("%s: %s", name, reason)
     views = tuple(view for view in observations.views if view.name not in reasons)
@@ -235,6 +244,17 @@ def _usable(
         for image in images
     )
     return replace(observations, views=views), told
+
+
+def _copies(views: tuple[View, ...]) -> dict[str, str]:
+    """Return which views are copies of others: the same corners to the last bit, as no camera sees them twice."""
+    first: dict[bytes, str] = {}
+    found = {}
+    for view in views:
+        original = first.setdefault(view.ids.tobytes() + view.corners.tobytes(), view.name)
+        if original != view.name:
+            found[view.name] = f"It is a copy of {original}: its corners are the same to the last digit."
+    return found
 
 
 def _evened(observations: Observations) -> Observations:

@@ -4,6 +4,7 @@ import shlex
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor
 from dataclasses import dataclass, fields, replace
+from math import inf, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -37,7 +38,7 @@ class Asked:
     focal
         One focal length or two; auto takes two where the pixels are shown not to be square.
     distortion
-        How far up the ladder of distortions; auto chooses by its tests.
+        How far up the ladder of distortions; auto frees all five, kept to what lenses do, and tests each.
     warp
         Whether the board may be bowed: two numbers more.
     beam
@@ -86,7 +87,7 @@ def _expected(text: str) -> tuple[str, tuple[float, float]]:
         found = float(value), float(tolerance)
     except ValueError:
         found = None
-    if not (name and equals and comma) or found is None or not 0 < found[1] < float("inf"):
+    if not (name and equals and comma) or found is None or not (isfinite(found[0]) and 0 < found[1] < inf):
         raise InputError(f"--expect must be NAME=VALUE,TOLERANCE, such as radius=6,0.05, not {text!r}")
     return name.strip(), found
 

@@ -20,7 +20,8 @@ def images(file: CalibrationFile) -> TextTable:
         fit = fits.get(image.name)
         left = "-" if fit is None or fit.corner_rms_px is None else f"{fit.corner_rms_px:.3f}"
         spot = "left out" if fit is not None and fit.section is not None and not fit.spot_used else image.spot_status
-        reasons = " ".join(text for text in (image.reason, image.spot_reason) if text)
+        # Of a board that was not found nobody asks for the spot.
+        reasons = image.reason or image.spot_reason
         rows.append((image.name, image.status, spot.replace("none", "-"), str(image.n_corners), left, reasons or "-"))
     columns: Columns = (
         ("image", "left"),
