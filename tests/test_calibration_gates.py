@@ -16,6 +16,8 @@ from planeopt.calibration.gates_poses import tilt_directions
 from planeopt.calibration.gates_seen import image_gate
 from planeopt.calibration.mixture import mixture
 from planeopt.calibration.model import Model
+from planeopt.calibration.packed import Packed
+from planeopt.calibration.projection import linear_corners
 from planeopt.errors import InputError
 from planeopt.simulation import board_faults
 from planeopt.simulation.board_random import Shooting, random_session
@@ -261,3 +263,55 @@ def shots(seed: int, **shooting: Any) -> SimulatedSession:
 def test_little_tilt_and_little_depth_are_warned_of():
     assert "tilt" in states(judged(shots(3, tilt_deg=(0.0, 15.0)).observations))
     assert states(judged(shots(3, depth_ratio=1.25).observations)).get("spot distances") == "warn"
+
+
+def _displaced(session: SimulatedSession, offsets: np.ndarray) -> Observations:
+    """Corners of a board whose places are off by (K, 3), mm, to first order, seen with the session's noise."""
+    state = adjust(session.observations, Model(distortion="k3")).state
+    packed = Packed.of(session.observations)
+    by_place = linear_corners(session.board, packed.corners, state).pose[..., 3:]
+    moved = np.einsum("vkci,vij,kj->vkc", by_place.reshape(len(packed), -1, 2, 3), state.rotations, offsets)
+    views = tuple(
+        replace(view, corners=view.corners - moved[row, view.ids])
+        for row, view in enumerate(session.observations.views)
+    )
+    return replace(session.observations, views=views)
+
+
+def _gates(observations: Observations) -> dict[str, Gate]:
+    return {gate.name: gate for gate in judge(adjust(observations, Model(distortion="k3")))}
+
+
+def test_a_board_that_is_twisted_or_misprinted_is_named_and_not_two_cameras():
+    session = good_session()
+    u, v = ((2 * session.board.corners / session.board.size_mm) - 1).T
+    size = max(session.board.size_mm)
+    twist = np.stack([0 * u, 0 * u, 2e-3 * size * u * v], axis=1)
+    misprint = np.random.default_rng(0).normal(0, 5e-4 * size, (len(u), 3)) * [1, 1, 0]
+    for offsets, along in ((twist, "out of it"), (misprint, "in its plane")):
+        gates = _gates(_displaced(session, offsets))
+        assert gates["board shape"].state == "warn", along
+        assert gates["one camera"].state == "ok"
+    assert _gates(session.observations)["board shape"].state == "ok"
+
+
+def test_a_laser_that_moved_in_the_session_is_warned_of():
+    session = good_session()
+    beam = session.rig.require_beam()
+    # A twentieth of the radius: far more than the boundaries' noise, far less than half a pixel or so.
+    off = replace(beam, offset=(beam.offset[0] + beam.radius / 20, beam.offset[1]))
+    moved = replace(session, rig=replace(session.rig, beam=off)).again(5)
+    half = len(session.observations.views) // 2
+    views = (*session.observations.views[:half], *moved.observations.views[half:])
+    gates = _gates(replace(session.observations, views=views))
+    assert gates["one beam"].state == "warn"
+    assert gates["one camera"].state == "ok"
+    assert _gates(session.observations)["one beam"].state == "ok"
+
+
+def test_the_verdict_names_what_brings_a_symptom_about():
+    lost = Gate("coverage", "warn", 0.4, (0.5, None), "Coverage.")
+    two = Gate("one camera", "warn", 0.004, (0.0, 0.01), "Two cameras.")
+    scatter = Gate("residuals", "refuse", 3.0, (0.5, 1.0), "Scatter.", symptom=True)
+    assert verdict((lost, two, scatter)) == ("refused", "Two cameras. Scatter.")
+    assert verdict((lost, scatter)) == ("refused", "Scatter.")

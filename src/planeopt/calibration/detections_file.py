@@ -18,6 +18,7 @@ _HEADER = ["image", "id", "x_px", "y_px", "sigma_px"]
 _EXPECTED = "the header must be image,id,x_px,y_px or image,id,x_px,y_px,sigma_px"
 UNKNOWN_SIGMA = 0.1
 """px: of corners whose file does not say; only ratios matter, as the adjustment finds the common factor."""
+_SIGMAS = (1e-6, 1e3)  # px: beyond, no corner was measured, and weights overflow
 
 
 def save_detections(views: Iterable[View], path: str | os.PathLike[str]) -> None:
@@ -50,7 +51,7 @@ def load_detections(path: str | os.PathLike[str], board: Board) -> Mapping[str, 
     Raises
     ------
     InputError
-        If the file cannot be read, or a row cannot be used; names the file and the line.
+        If the file cannot be read, holds no corners, or a row cannot be used; names the file and the line.
     """
     rows: dict[str, dict[int, tuple[float, float, float]]] = {}
     header: list[str] | None = None
@@ -77,6 +78,8 @@ def load_detections(path: str | os.PathLike[str], board: Board) -> Mapping[str, 
         raise InputError(f"{path}, line {reader.line_num}: not CSV ({error})") from None
     if header is None:
         raise InputError(f"{path}: the file is empty; {_EXPECTED}")
+    if not rows:
+        raise InputError(f"{path}: holds no corners, only the header")
     return {name: _view(name, corners) for name, corners in rows.items()}
 
 
@@ -93,8 +96,8 @@ def _row(cells: list[str], where: str, count: int) -> tuple[str, int, tuple[floa
         raise InputError(f"{where}: id must be a whole number from 0 to {count - 1}, not {number[:40]!r}")
     x, y, *rest = (_number(cell, key, where) for cell, key in zip(numbers, _HEADER[2:], strict=False))
     sigma = rest[0] if rest else UNKNOWN_SIGMA
-    if sigma <= 0:
-        raise InputError(f"{where}: sigma_px must be positive, not {sigma:g}")
+    if not _SIGMAS[0] <= sigma <= _SIGMAS[1]:
+        raise InputError(f"{where}: sigma_px must be from {_SIGMAS[0]:g} to {_SIGMAS[1]:g}, not {sigma:g}")
     return name, int(number), (x, y, sigma)
 
 

@@ -36,6 +36,20 @@ class Gate:
     symptom: bool = False
 
 
+_FITS = ("board shape", "one camera", "square proportion", "single views", "board bow")
+_SHOTS = ("views", "tilt", "tilt directions", "coverage", "border", "board distances")
+_CAUSES: dict[str, tuple[str, ...]] = {
+    "residuals": _FITS,
+    "outliers": _FITS,
+    "spot residuals": (*_FITS, "one beam"),
+    "camera conditioning": _SHOTS,
+    "focal length": _SHOTS,
+    "beam conditioning": ("spots", "spot distances", "board distances"),
+    "adjustment": _SHOTS,
+}
+"""By a symptom: what may bring it about, were it only warned of."""
+
+
 def at_least(value: float, warn: float, refuse: float | None) -> GateState:
     """Return the state of a value that must not be too small."""
     if refuse is not None and value < refuse:
@@ -62,15 +76,15 @@ def verdict(gates: Iterable[Gate]) -> tuple[Verdict, str]:
     -------
     verdict : {"ok", "degraded", "refused"}
     message : str
-        Where it is refused, the first gate that says so; if that is a symptom, what was warned of before it comes
-        first, since that is why. Where it is degraded, all warnings.
+        Where it is refused, the first gate that says so; if that is a symptom, what was warned of that brings it about
+        comes first. Where it is degraded, all warnings.
     """
     judged = tuple(gates)
     closed = [gate for gate in judged if gate.state == "refuse"]
     warned = [gate for gate in judged if gate.state == "warn"]
     if closed:
         first = closed[0]
-        causes = [gate for gate in warned[:1] if first.symptom and judged.index(gate) < judged.index(first)]
+        causes = [gate for gate in warned if gate.name in _CAUSES.get(first.name, ())][:1]
         return "refused", " ".join(gate.sentence for gate in (*causes, first))
     if warned:
         return "degraded", " ".join(gate.sentence for gate in warned)

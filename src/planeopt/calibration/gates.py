@@ -9,6 +9,7 @@ import numpy as np
 from planeopt.board import Observations
 from planeopt.calibration import gates_fit, gates_poses, gates_seen
 from planeopt.calibration.adjustment import Adjustment, adjust
+from planeopt.calibration.board_shape import misplaced_corners
 from planeopt.calibration.board_stretch import board_stretch, in_proportion
 from planeopt.calibration.equations import AdjustmentError, Prior
 from planeopt.calibration.gate import Gate, at_most
@@ -69,17 +70,18 @@ def judge(
     observations, state = adjustment.observations, adjustment.state
     tests, expect = tests or {}, expect or {}
     lit = adjustment.spot_used
-    camera, sizes = _camera_and_size_gates(adjustment, expect)
+    fits, sizes = _fit_gates(adjustment, expect)
     return _present(
         *_seen(observations, images, lit.tolist()),
         *gates_poses.tilt_gates(state),
-        *camera,
+        *fits,
         gates_poses.spot_depth_gate(state, lit) if adjustment.model.beam == "free" else None,
         gates_poses.board_depth_gate(observations, state),
         *sizes,
         gates_fit.view_gate(adjustment),
         gates_fit.bow_gate(adjustment, tests),
         gates_fit.residual_gate(adjustment),
+        gates_fit.beam_gate(adjustment),
         gates_fit.spot_fit_gate(adjustment),
         gates_fit.outlier_gate(adjustment),
         *(_condition_gate(found) for found in null_directions(adjustment)),
@@ -134,28 +136,37 @@ def _seen(observations: Observations, images: Sequence[Image], used: Sequence[bo
     )
 
 
-def _camera_gate(adjustment: Adjustment) -> Gate | None:
+def _camera_gate(adjustment: Adjustment, by_board: float = 0.0) -> Gate | None:
     """Judge whether there is one camera, where the tilts tell a camera at all."""
     frontal = gates_poses.tilts(adjustment.state).max() < gates_poses.FRONTAL
-    return None if frontal else gates_fit.camera_gate(adjustment)
+    return None if frontal else gates_fit.camera_gate(adjustment, by_board)
 
 
-def _camera_and_size_gates(
+def _fit_gates(
     adjustment: Adjustment, expect: Mapping[str, tuple[float, float]]
 ) -> tuple[tuple[Gate | None, ...], tuple[Gate, ...]]:
-    """Judge the camera and the squares; those of a wrong proportion look like two cameras and are put right first."""
-    camera = _camera_gate(adjustment)
-    if camera is not None and camera.state != "ok" and adjustment.model.camera:
+    """Judge the board's shape, the camera and the squares.
+
+    Squares of a wrong proportion look like two cameras, or a board that is not flat: they are put right first.
+    """
+    first = _shape_and_camera(adjustment)
+    if adjustment.model.camera and any(gate is not None and gate.state != "ok" for gate in first):
         try:
             found, share = in_proportion(adjustment)
         except AdjustmentError as error:
             _log.debug("no adjustment in proportion: %s", error)
         else:
-            one = _camera_gate(found)
-            if one is not None and one.state == "ok":
-                sizes = gates_fit.size_gates(adjustment, expect, (share, board_stretch(found)[1]))
-                return (one,), sizes
-    return (camera,), gates_fit.size_gates(adjustment, expect, board_stretch(adjustment))
+            again = _shape_and_camera(found)
+            if all(gate is None or gate.state == "ok" for gate in again):
+                return again, gates_fit.size_gates(adjustment, expect, (share, board_stretch(found)[1]))
+    return first, gates_fit.size_gates(adjustment, expect, board_stretch(adjustment))
+
+
+def _shape_and_camera(adjustment: Adjustment) -> tuple[Gate | None, Gate | None]:
+    shape = misplaced_corners(adjustment)
+    gate = gates_fit.shape_gate(shape)
+    explained = 0.0 if shape is None or gate is None or gate.state == "ok" else shape.share
+    return gate, _camera_gate(adjustment, explained)
 
 
 def _loosely_adjusted(observations: Observations) -> Adjustment | None:

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.stats import f as fisher
 
 from planeopt.calibration.adjustment import Adjustment
+from planeopt.calibration.board_shape import Misplaced
 from planeopt.calibration.gate import Gate, at_most
 from planeopt.calibration.gates_seen import names
 from planeopt.calibration.ladder import Tested
@@ -25,6 +26,13 @@ _BOW_MM = 0.25
 _BOW_SHARE = 0.0025
 _CHANCE = 1e-3
 
+_SHAPE = 0.2
+"""Of the corners' sum of squares: what the board's shape explains at most of a good session."""
+_UNLIKELY = 1e-6
+
+_SPOT_FACTOR = 3.0
+"""Times their sigmas: what ellipses miss one beam by at most, where it is a clean cylinder that did not move."""
+
 _CORNERS_PX = 0.5, 1.0
 _BOUNDARY_PX = 0.5, 1.5
 
@@ -32,11 +40,38 @@ _LENGTHS = ("radius", "e_x", "e_y")
 _SIGMAS = 3.0
 
 
-def camera_gate(adjustment: Adjustment) -> Gate:
-    """Judge whether all views were taken by one camera."""
+def shape_gate(found: Misplaced | None) -> Gate | None:
+    """Judge whether the board's corners are where they are stated to be."""
+    if found is None:
+        return None
+    limits = (_SHAPE, None)
+    if found.p_value > _UNLIKELY or found.share <= _SHAPE:
+        told = "The board's corners are in their places, but for a bow."
+        return Gate("board shape", "ok", found.share, limits, told)
+    return Gate(
+        "board shape",
+        "warn",
+        found.share,
+        limits,
+        f"The board's corners lie off their places, alike in every view: by {found.across_mm:.2g} mm in its plane and "
+        f"{found.out_mm:.2g} mm out of it (RMS), which is {100 * found.share:.0f} % of the residuals. It is twisted or "
+        "wavy, or not printed as stated; the standard deviations know nothing of that. Mount it on glass or a thick "
+        "plate, or take a better print.",
+    )
+
+
+def camera_gate(adjustment: Adjustment, by_board: float = 0.0) -> Gate:
+    """Judge whether all views were taken by one camera.
+
+    Parameters
+    ----------
+    adjustment : Adjustment
+    by_board : float
+        Share of the misfit that the board's shape explains: two cameras must explain more.
+    """
     found = mixture(adjustment)
     limits = (0.0, _OTHER_CAMERA[1])
-    if found is None:
+    if found is None or found.explained < by_board:
         return Gate("one camera", "ok", 0.0, limits, "All views agree on one camera.")
     change = found.focal[1] / found.focal[0] - 1
     certain = found.explained > _OTHER_CAMERA[0] or abs(change) > _OTHER_CAMERA[1]
@@ -99,6 +134,26 @@ def spot_fit_gate(adjustment: Adjustment) -> Gate | None:
         )
     )
     return Gate("spot residuals", state, rms, _BOUNDARY_PX, told + (tail or "."), symptom=True)
+
+
+def beam_gate(adjustment: Adjustment) -> Gate | None:
+    """Judge whether the spots are those of one beam, by their sigmas: it moved, or is no cylinder, if they are not."""
+    if not np.any(adjustment.spot_used):
+        return None
+    factor, limits = adjustment.noise.spots, (_SPOT_FACTOR, None)
+    if factor <= _SPOT_FACTOR:
+        told = f"The spots miss one straight beam by {factor:.2g} times what their boundaries' sigmas say, or less."
+        return Gate("one beam", "ok", factor, limits, told)
+    worst = np.argsort(-np.where(adjustment.spot_used, adjustment.spot_chi2, 0.0), kind="stable")[:3]
+    return Gate(
+        "one beam",
+        "warn",
+        factor,
+        limits,
+        f"The spots miss one straight beam by {factor:.2g} times what their boundaries' sigmas say, most of all "
+        f"{names([adjustment.observations.views[row].name for row in worst])}. The laser moved against the camera in "
+        "the session, or its beam is no clean cylinder: check how it is held, and shoot again.",
+    )
 
 
 def size_gates(
