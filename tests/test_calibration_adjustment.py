@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import chi2
 
 from planeopt.board import Observations, View
-from planeopt.calibration import Options, calibrate
+from planeopt.calibration import Calibration, Options, calibrate
 from planeopt.calibration.adjustment import Adjustment, adjust, refit
 from planeopt.calibration.equations import AdjustmentError
 from planeopt.calibration.expected import expected_information
@@ -33,6 +33,11 @@ def session() -> SimulatedSession:
 @pytest.fixture(scope="module")
 def fitted(session: SimulatedSession) -> Adjustment:
     return adjust(session.observations, Model(distortion="k3"))
+
+
+@pytest.fixture(scope="module")
+def calibrated(session: SimulatedSession) -> Calibration:
+    return calibrate(session.observations)
 
 
 def truth(session: SimulatedSession, name: str) -> float:
@@ -297,13 +302,12 @@ def test_the_principal_point_turns_the_beam_and_leaves_its_offset(fitted: Adjust
     assert rig.covariance.correlation[row, column] < -0.9
 
 
-def test_copies_of_a_view_are_left_out(session: SimulatedSession):
+def test_copies_of_a_view_are_left_out(session: SimulatedSession, calibrated: Calibration):
     views = session.observations.views
     copies = (*views, replace(views[0], name="copy.png"), replace(views[3], name="another.png"))
     found = calibrate(replace(session.observations, views=copies))
     assert len(found.observations.views) == len(views)
-    alone = calibrate(session.observations)
-    assert found.rig == alone.rig
+    assert found.rig == calibrated.rig
 
 
 def test_views_that_determine_no_pose_are_left_out(session: SimulatedSession):
@@ -325,3 +329,47 @@ def test_expectations_are_checked_at_once():
     ):
         with pytest.raises(InputError, match=message):
             Options(expect=expect)
+
+
+def test_an_f_test_rejects_as_often_as_it_says():
+    """A flat board's bow, tested over and over: two terms, so half of the p-values are above a half."""
+    base = random_session(21, shooting=Shooting(8), warp=(0.0, 0.0), corner_sigma=0.1, spot_sigma=0.1)
+    first = adjust(base.observations, Model(distortion="k1"))
+    p_values = []
+    for seed in range(24):
+        found = adjust(base.again(seed).observations, Model(distortion="k1"), start=first.state)
+        p_values.append(compare_terms(found, only=("warp",))["warp"].p_value)
+    # Of 24 halves, 4 to 20 with a chance of 0.9999; a p-value of half as many terms has a mean of 0.3 or less.
+    assert 4 <= np.count_nonzero(np.array(p_values) > 0.5) <= 20
+    assert 0.5 - 4 * np.sqrt(1 / 12 / 24) < np.mean(p_values) < 0.5 + 4 * np.sqrt(1 / 12 / 24)
+
+
+def test_the_sigma_of_the_beam_s_angle_is_its_direction_s(fitted: Adjustment):
+    angle, sigma = parallelism(fitted)
+    names = ("direction_x", "direction_y")
+    rng = np.random.default_rng(0)
+    rows = [fitted.names.index(name) for name in names]
+    block = fitted.covariance[np.ix_(rows, rows)]
+    draws = rng.multivariate_normal([fitted.value(name) for name in names], block, 4000)
+    angles = np.arcsin(np.hypot(*draws.T))
+    assert angle == pytest.approx(np.arcsin(np.hypot(fitted.value(names[0]), fitted.value(names[1]))))
+    # 1/sqrt(2 N) is 1.1 %.
+    assert sigma == pytest.approx(angles.std(), rel=0.06)
+
+
+def test_square_pixels_have_one_focal_length_and_others_two(session: SimulatedSession, calibrated: Calibration):
+    assert calibrated.rig.camera.fx == calibrated.rig.camera.fy
+    camera = session.rig.camera
+    rig = replace(session.rig, camera=replace(camera, fy=1.003 * camera.fx))
+    oblong = replace(session, rig=rig).again(1)
+    found = calibrate(oblong.observations).rig.camera
+    assert found.fy / found.fx == pytest.approx(1.003, abs=5e-4)
+
+
+def test_costs_are_told_at_the_session_s_distances(session: SimulatedSession, calibrated: Calibration):
+    distances = sorted({cost.z_L for cost in calibrated.cost})
+    beam = session.rig.require_beam()
+    normals, places = session.poses.rotations[:, :, 2], session.poses.translations
+    along = np.sum(normals * (places - [*beam.offset, 0.0]), axis=1) / (normals @ np.array(beam.direction))
+    lit = [view.spot is not None for view in session.observations.views]
+    assert distances == pytest.approx(np.quantile(along[lit], [0, 0.5, 1]), rel=1e-2)
