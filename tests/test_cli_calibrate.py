@@ -4,6 +4,10 @@ import contextlib
 import io
 import json
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +22,8 @@ import planeopt.report.calibration_files
 from planeopt.board import save_board
 from planeopt.calibration import Calibration, calibrate
 from planeopt.calibration.record import CalibrationFile, calibration_schema, load_record
-from planeopt.cli import INTERRUPTED, main
+from planeopt.cli import INTERRUPTED, TERMINATED, main
+from planeopt.example import example_folder
 from planeopt.report.calibration_words import FORCED, NOT_WRITTEN
 from planeopt.simulation.board_faults import frontal_session
 from planeopt.simulation.board_random import Shooting, random_session
@@ -291,6 +296,27 @@ def test_a_run_that_is_cut_short_leaves_nothing(
     shutil.copytree(ready.folder, tmp_path / "out")
     assert run(*arguments, "--force") == INTERRUPTED
     assert (tmp_path / "out" / "rig.toml").read_bytes() == (ready.folder / "rig.toml").read_bytes()
+
+
+def test_ended_by_the_system_nothing_is_left(tmp_path: Path):
+    session = str(example_folder() / "session")
+    command = [sys.executable, "-m", "planeopt", "calibrate", session, "-o", str(tmp_path / "out"), "--jobs", "2"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while not list(tmp_path.iterdir()) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    time.sleep(1)  # by now workers are there; the whole run takes many seconds
+    process.terminate()
+    # Workers share the pipes: they are at their end only when the last of them is gone.
+    said, complaint = process.communicate(timeout=60)
+    assert (process.returncode, said, complaint) == (TERMINATED, "", "planeopt: terminated\n")
+    assert not list(tmp_path.iterdir())
+
+
+def test_called_from_a_program_no_handler_is_set():
+    before = signal.getsignal(signal.SIGTERM)
+    assert main(["--version"]) == 0
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_a_camera_alone(made: Made, tmp_path: Path):

@@ -1,3 +1,6 @@
+import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -82,6 +85,27 @@ def test_closing_early_cancels_what_has_not_begun():
         results.close()  # type: ignore[attr-defined] - a generator, where there is an executor
         gate.set()
     assert max(begun) <= 1
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="the system has no signal that nobody can handle")
+def test_workers_end_with_a_parent_that_was_killed():
+    program = (
+        "import os, time\n"
+        "from planeopt.executors import processes\n"
+        "with processes(2) as pool:\n"
+        "    print(pool.submit(os.getpid).result(), flush=True)\n"
+        "    time.sleep(60)\n"
+    )
+    # Python's tracker of semaphores remarks that some were left: by a process that was killed they have to be.
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
+    assert process.stdout is not None
+    assert int(process.stdout.readline()) != process.pid
+    process.kill()
+    # Workers share the pipe: it is at its end only when the last of them is gone.
+    rest, _ = process.communicate(timeout=30)
+    assert rest == ""
 
 
 def test_nonsense_is_refused_at_once():

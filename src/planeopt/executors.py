@@ -1,12 +1,15 @@
 """One ordered `map` over any `concurrent.futures.Executor`: in process, over processes, over a cluster."""
 
 import multiprocessing
+import os
 import signal
+import threading
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
+from multiprocessing.process import BaseProcess
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -69,7 +72,8 @@ def processes(jobs: int) -> Iterator[Executor | None]:
     """Open a pool of worker processes; one job means none: `None`, for work in this process.
 
     Workers start afresh (spawned, not forked): CasADi and OpenCV hold threads and locks that a fork would copy half.
-    They ignore the keyboard's interrupt, so that the process that started them alone decides.
+    They ignore the keyboard's interrupt, so that the process that started them alone decides; and end when that process
+    is gone, however it ended.
 
     Parameters
     ----------
@@ -97,3 +101,12 @@ def _start_worker() -> None:
     """Leave the keyboard's interrupt to the parent, and numerical warnings unsaid: the result says what they did."""
     warnings.simplefilter("ignore", RuntimeWarning)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: BaseProcess) -> None:
+    """Wait for the parent's end and end at once: a worker that waits for work would never notice."""
+    parent.join()
+    os._exit(1)

@@ -5,6 +5,7 @@ as one line on standard error and exit status 1.
 """
 
 import os
+import signal
 import sys
 import warnings
 from collections.abc import Sequence
@@ -31,6 +32,20 @@ from planeopt.errors import InputError
 
 INTERRUPTED = 130
 """What shells report for a process ended by the keyboard's interrupt: 128 and the number of SIGINT."""
+
+TERMINATED = 143
+"""The same for SIGTERM, with which systems, containers and time limits end a process."""
+
+
+class Termination:
+    """A handler of SIGTERM: the same as an interrupt, so that everything tidies up, but known to be none."""
+
+    asked = False
+
+    def __call__(self, *_: object) -> None:
+        """Note that the process is to end, and interrupt it."""
+        self.asked = True
+        raise KeyboardInterrupt
 
 
 def build_app() -> App:
@@ -59,11 +74,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit status: 0 ok; 1 something given cannot be used; 2 a pose is degraded or refused; 130 interrupted.
+        Exit status: 0 ok; 1 something given cannot be used; 2 a pose is degraded or refused; 130 interrupted;
+        143 terminated.
     """
+    termination = Termination()
     if arguments is None:
         # As a program: an overflow in an absurd input ends in a refusal, and a line of NumPy's source would not help.
         warnings.simplefilter("ignore", RuntimeWarning)
+        # Who calls this from a program of their own keeps their handlers, and who started this one may have ignored it.
+        if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+            signal.signal(signal.SIGTERM, termination)
     try:
         now()  # NumPy looks at the environment's time too when it is imported, and breaks down over a bad one.
         status = build_app()(arguments, exit_on_error=False, print_error=False, result_action="return_value")
@@ -80,6 +100,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         where = f"{error.filename}: " if error.filename else ""
         return complain(f"{where}{error.strerror or error}")
     except KeyboardInterrupt:
-        complain("interrupted")
-        return INTERRUPTED
+        complain("terminated" if termination.asked else "interrupted")
+        return TERMINATED if termination.asked else INTERRUPTED
     return status or 0
