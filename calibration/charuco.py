@@ -7,10 +7,12 @@ of the command: `rig.toml`, `calibration.json` (all observations, everything nee
 """
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 
 from planeopt.calibration import Options, calibrate, detect, load_session
+from planeopt.cli.files import output_folder
 from planeopt.errors import InputError
 from planeopt.executors import processes
 from planeopt.report.calibration_files import write_calibration
@@ -18,22 +20,26 @@ from planeopt.report.calibration_files import write_calibration
 
 def main(session: Path, output: Path, jobs: int = 1) -> int:
     """Calibrate a session and write its files; return 0 if all is well, 2 with a reservation or a refusal."""
-    # What is there: the board as measured, the images, with laser-off twins if there are any.
-    loaded = load_session(session)
+    if output.exists():
+        raise InputError(f"{output}: exists already; name another folder")
+    command = shlex.join(["python", "calibration/charuco.py", str(session)])
+    # The folder is there when all is done, or not at all.
+    with output_folder(output, force=False) as folder:
+        # What is there: the board as measured, the images, with laser-off twins if there are any.
+        loaded = load_session(session)
 
-    # Corners to some hundredths of a pixel, and the spot in the board's window; each image on its own.
-    with processes(jobs) as executor:
-        detected = detect(loaded, executor=executor)
-    for image in detected.images:
-        print(f"{image.name}: {image.status}, {image.n_corners} corners. {image.reason}")  # noqa: T201
+        # Corners to some hundredths of a pixel, and the spot in the board's window; each image on its own.
+        with processes(jobs) as executor:
+            detected = detect(loaded, executor=executor)
+        for image in detected.images:
+            print(f"{image.name}: {image.status}, {image.n_corners} corners. {image.reason}")  # noqa: T201
 
-    # Camera, poses, the board's bow and the beam in one adjustment; then the tests, the gates and what to shoot next.
-    calibration = calibrate(detected, Options())
-    print(f"{calibration.verdict}: {calibration.message}")  # noqa: T201 - a script speaks
+        # Camera, poses, the board's bow and the beam in one adjustment; then tests, gates and what to shoot next.
+        calibration = calibrate(detected, Options())
+        print(f"{calibration.verdict}: {calibration.message}")  # noqa: T201 - a script speaks
 
-    # A rig that is refused is not written.
-    output.mkdir(parents=True, exist_ok=True)
-    write_calibration(calibration, output, session=str(session), command=f"planeopt calibrate {session}")
+        # A rig that is refused is not written.
+        write_calibration(calibration, folder, session=str(session), command=command)
     return 0 if calibration.verdict == "ok" else 2
 
 
@@ -43,6 +49,8 @@ if __name__ == "__main__":
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("-j", "--jobs", type=int, default=1, help="processes to find corners in")
     given = parser.parse_args()
+    if given.jobs < 1:
+        parser.error(f"--jobs must be at least 1, not {given.jobs}")
     try:
         sys.exit(main(given.session, given.output, given.jobs))
     except InputError as error:

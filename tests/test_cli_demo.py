@@ -5,6 +5,8 @@ import io
 import json
 import re
 import runpy
+import subprocess
+import sys
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -132,6 +134,8 @@ def test_the_script_writes_what_the_demo_does(run: Run, tmp_path: Path, capsys: 
         written = (tmp_path / "deep" / "out" / name).read_text()
         # What differs is where the session lies.
         written = written.replace(str(SESSION), "calibration/example/session")
+        assert name == "rig.toml" or "python calibration/charuco.py calibration/example/session" in written
+        written = written.replace("python calibration/charuco.py ", "planeopt calibrate ")
         assert written == (run.folder / "calibration" / name).read_text()
 
 
@@ -140,6 +144,17 @@ def test_the_script_says_what_is_wrong(tmp_path: Path):
     with pytest.raises(InputError, match=r"session\.toml"):
         script["main"](tmp_path, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_the_script_writes_over_nothing_and_says_so_at_once(kind: str, tmp_path: Path):
+    (tmp_path / "out").touch() if kind == "file" else (tmp_path / "out").mkdir()
+    command = [sys.executable, str(SCRIPT), str(tmp_path / "no session"), "-o", str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    # Before the session is even looked for.
+    assert done.stderr == f"{tmp_path / 'out'}: exists already; name another folder\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
 def test_a_rig_without_covariance_has_no_scores():
