@@ -81,6 +81,21 @@ def test_measurements_go_into_the_file(tmp_path: Path, capsys: pytest.CaptureFix
     assert load_board(tmp_path / "d" / "board.toml") == load_board(file)
 
 
+def test_a_size_out_of_limits_leaves_the_file_and_measured_squares_have_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    file = tmp_path / "board.toml"
+    assert main(["board", "-o", str(file)]) == 0
+    before = file.read_bytes()
+    capsys.readouterr()
+    # 80 %, as "fit to page" makes of it: a size that small is asked about, squares of it are believed.
+    assert main(["board", "--from", str(file), "--measured-size-mm", "197.6", "136.8", "--force"]) == 1
+    assert "--measured-square-mm" in one_line(capsys)
+    assert file.read_bytes() == before
+    assert main(["board", "--from", str(file), "--measured-square-mm", "15.2", "15.2"]) == 0
+    assert load_board(file).square_mm == (15.2, 15.2)
+
+
 def test_a_board_is_drawn_from_its_file(tmp_path: Path):
     assert main(["board", "-o", str(tmp_path / "b.pdf"), "--spot-mm", "12", "--view-mm", "95", "71"]) == 0
     before = (tmp_path / "board.toml").read_bytes()
@@ -114,6 +129,9 @@ def test_a_board_smaller_than_the_view_is_noted(tmp_path: Path, capsys: pytest.C
         ("-o b.pdf --spot-mm 90", "a spot of 90 mm"),
         ("-o b.png --pixels-per-square 9", "too few"),
         ("-o b.pdf --measured-size-mm 24.7 17.1", "give mm, width first"),
+        ("-o b.pdf --measured-size-mm 170.1 117.2", "-31.1 % and -31.5 % off the board's 247 x 171 mm: are width and"),
+        ("-o b.pdf --measured-size-mm 171 247", "are width and height exchanged"),
+        ("-o b.pdf --squares 9 9 --measured-size-mm 171 167", "from outer edge to outer edge of all 9 x 9 squares"),
         ("-o b.pdf --measured-size-mm 247 171 --measured-square-mm 19 19", "either"),
         ("--from nothing.toml --measured-size-mm 247 171", "there is no such file"),
         ("--from nothing.toml -o b.pdf --legacy", "leave out the flags"),

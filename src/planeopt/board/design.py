@@ -28,6 +28,9 @@ _DICTIONARIES = (("DICT_4X4_50", 50), ("DICT_4X4_100", 100), ("DICT_4X4_250", 25
 _STEPS = ((10.0, 1.0), (5.0, 0.5), (1.0, 0.1))  # squares from this size on are multiples of that, mm
 _SMALLEST = 1.0  # mm
 _UNITS = (0.5, 2.0)  # measured over drawn: beyond, the numbers are no mm
+# Printers err by a percent or two; a size further off, or of another shape, is more likely measured elsewhere.
+_OFF = 0.1
+_STRETCH = 0.02
 _ROUNDING = 1e-9
 
 
@@ -150,7 +153,9 @@ def as_measured(
     Raises
     ------
     InputError
-        If neither or both are given, or are so far from the drawing that they cannot be mm.
+        If neither or both are given, or are so far from the drawing that they cannot be mm; a size also where it is
+        more than 10 % off, or off by more than 2 % differently in width and height, as when both are exchanged or are
+        not those of all squares. A print that was scaled indeed is described by its measured squares.
     """
     if (square_mm is None) == (size_mm is None):
         raise InputError("give either the measured squares or the measured size of all squares together")
@@ -161,6 +166,13 @@ def as_measured(
         if not _UNITS[0] < ratio < _UNITS[1]:
             raise InputError(f"the measured {way} is {m:g} mm, but {d:g} mm was drawn: give mm, width first")
     x, y = scale
+    if size_mm is not None and (max(abs(x - 1), abs(y - 1)) > _OFF or abs(x / y - 1) > _STRETCH):
+        raise InputError(
+            f"the measured size, {measured[0]:g} x {measured[1]:g} mm, is {100 * (x - 1):+.1f} % and "
+            f"{100 * (y - 1):+.1f} % off the board's {drawn[0]:g} x {drawn[1]:g} mm: are width and height exchanged, "
+            f"or was it not from outer edge to outer edge of all {board.squares[0]} x {board.squares[1]} squares? If "
+            "the print is so indeed, give its squares (--measured-square-mm)"
+        )
     window = board.window_mm
     return replace(
         board,

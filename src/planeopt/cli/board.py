@@ -101,9 +101,10 @@ class Measured:
     ----------
     measured_size_mm
         Width and height of all squares together, from outer edge to outer edge, on the print. Goes into board.toml, not
-        into the drawing.
+        into the drawing. Refused if more than 10 % off, or off by more than 2 % differently in width and height.
     measured_square_mm
-        The same of one square, where that is what was measured.
+        The same of one square, where that is what was measured, or where the print is scaled by more than that: without
+        these limits.
     """
 
     measured_size_mm: Pair = None
