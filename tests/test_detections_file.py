@@ -21,6 +21,7 @@ coordinates = st.floats(-1e6, 1e6, allow_nan=False)
     st.dictionaries(
         st.text("abc ,\"'é/._", min_size=1).filter(lambda name: name == name.strip()),
         st.dictionaries(st.integers(0, 23), st.tuples(coordinates, coordinates, st.floats(1e-6, 10)), min_size=1),
+        min_size=1,
         max_size=3,
     )
 )
@@ -56,7 +57,11 @@ def test_without_sigma_all_weigh_the_same(tmp_path: Path):
         (HEAD + "a.png,1.0,1,2,1\n", "id must be"),
         (HEAD + "a.png,1,x,2,1\n", "x_px must be a number"),
         (HEAD + "a.png,1,1,nan,1\n", "y_px must be finite"),
-        (HEAD + "a.png,1,1,2,0\n", "sigma_px must be positive"),
+        (HEAD, "holds no corners, only the header"),
+        ("image,id,x_px,y_px\n\n", "holds no corners"),
+        (HEAD + "a.png,1,1,2,0\n", "line 2: sigma_px must be from 1e-06 to 1000, not 0"),
+        (HEAD + "a.png,1,1,2,1\na.png,2,1,2,1e-200\n", "line 3: sigma_px must be from"),
+        (HEAD + "a.png,1,1,2,1e200\n", "line 2: sigma_px must be from"),
         (HEAD + ",1,1,2,1\n", "the image's name is missing"),
         (HEAD + "a.png,1,1,2,1\na.png,1,1,2,1\n", "line 3: the corner 1 of a.png stands there a second time"),
         (HEAD + "a.png,1,1,2,1\n\xff", "not a text file in UTF-8"),
