@@ -17,9 +17,9 @@ needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is ins
 _MEASURED = """<script>
 const root = document.documentElement, right = root.clientWidth + 0.5;
 const narrow = root.clientWidth < 700;
-const scrolled = one => narrow && getComputedStyle(one.closest("figure")).overflowX === "auto";
+const scrolled = one => narrow && getComputedStyle(one.closest(".wide")).overflowX === "auto";
 const wide = [...document.querySelectorAll("main *")].filter(
-  one => !(one.matches("figure *") && scrolled(one)) && one.getBoundingClientRect().right > right);
+  one => !(one.matches(".wide *") && scrolled(one)) && one.getBoundingClientRect().right > right);
 const broken = [...document.images].filter(image => !image.naturalWidth).length;
 root.dataset.said = [root.clientWidth, root.scrollWidth, wide.length, broken].join(" ");
 </script></body>"""
@@ -48,7 +48,7 @@ def browse(folder: Path, page: Path, *options: str) -> subprocess.CompletedProce
 
 
 def show(folder: Path, html: str, width: int = 1280) -> Shown:
-    """Lay a page out in a window; in a narrow one what moves sideways within its own figure is not beyond the edge."""
+    """Lay a page out in a window; in a narrow one what moves sideways within its own place is not beyond the edge."""
     page = folder / "page.html"
     page.write_text(html.replace("</body>", _MEASURED), encoding="utf-8")
     shown = browse(folder, page, f"--window-size={width},900", "--dump-dom")

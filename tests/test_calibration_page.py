@@ -3,16 +3,22 @@
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import msgspec
+import numpy as np
 import pypdf
 import pytest
 
 from browser import browse, needs_chromium, show
+from calibrated import good
 from calibration_files import calibration_file
+from planeopt.calibration.gates import judge
 from planeopt.calibration.record import CalibrationFile
+from planeopt.report.calibration_conditions import conditions, from_below
 from planeopt.report.calibration_page import calibration_html
-from planeopt.report.calibration_words import CAPTIONS, FORCED, NAMES, NOT_WRITTEN, SYMBOLS
+from planeopt.report.calibration_residuals import Left, strips
+from planeopt.report.calibration_words import CAPTIONS, FORCED, NAMES, NOT_WRITTEN, SYMBOLS, UNITS
 from report_page import PageReader, differing
 
 FIGURES = ["correlations", "cost", "warp", "vectors", "strips", "histogram", "beam", "coverage", "poses"]
@@ -79,6 +85,55 @@ def test_what_it_says(page: PageReader, file: CalibrationFile):
     assert "have a correlation of" in words
     assert "focal length f (mm)" in words
     assert "mrad" in words
+
+
+@pytest.mark.parametrize(
+    ("gate", "said"),
+    [
+        (("views", "ok", 12.0, (10.0, 5.0)), ("views", "at least 10", "below 5")),
+        (("residuals", "ok", 0.1, (0.5, 1.0)), ("px", "at most 0.5", "above 1")),
+        (("coverage", "ok", 0.9, (0.5, None)), ("share of the cells", "at least 0.5", "-")),
+        (("board bow", "ok", 0.0, (0.25, None)), ("mm", "at most 0.25", "-")),
+        (("marker size", "ok", 0.01, (None, 0.08)), ("relative", "at most 0.08", "above 0.08")),
+        (("mirror", "refuse", 0.2, (0.0, 0.0)), ("share of the views", "none", "any")),
+        (("tilt", "refuse", 2.0, (20.0, 3.0)), ("degrees", "at least 20", "below 3")),
+        (("stated radius", "ok", 0.1, (0.125, 0.125)), ("", "at most 0.125", "above 0.125")),
+        (("camera conditioning", "ok", 366.0, (3000.0, 1e4)), ("condition number", "at most 3000", "above 10000")),
+    ],
+)
+def test_a_condition_says_on_which_side_of_its_limits_good_lies(gate: tuple[Any, ...], said: tuple[str, ...]):
+    name, state, value, limits = gate
+    record = {"name": name, "state": state, "value": value, "limits": limits, "sentence": "So."}
+    row = conditions({"gates": [record]}).rows[0]
+    assert (row[2].text, row[4].text, row[5].text) == said
+
+
+def test_conditions_of_a_good_session_are_shown_as_met():
+    # A gate that came without its name among those that ask for enough would show a limit that is not met.
+    judged = judge(good())
+    for gate in judged:
+        assert gate.state == "ok", gate.name
+        assert gate.value is not None
+        limit = next(limit for limit in gate.limits if limit is not None)
+        below = from_below({"name": gate.name, "limits": gate.limits})
+        assert gate.value >= limit if below else gate.value <= limit, gate.name
+        assert gate.name in UNITS, gate.name
+
+
+def test_bars_of_spots_are_what_their_ellipses_expect(file: CalibrationFile):
+    found = file.adjustment
+    assert found is not None
+    noise = found.noise
+    bars = Left.of(file, found).spot_rms
+    # Over all spots chi-squared is as large as its degrees of freedom, to the per mille to which the factor settles,
+    # unless that was held at 1: five of each spot, less what the beam takes.
+    wanted = min(noise.chi2_spots, noise.dof_spots)
+    assert 5 * np.nansum(bars**2) == pytest.approx(wanted, rel=2e-3)
+    unused = msgspec.structs.replace(found.views[0], spot_used=False)
+    without = Left.of(file, msgspec.structs.replace(found, views=(unused, *found.views[1:])))
+    assert np.isnan(without.spot_rms[0])
+    assert np.array_equal(without.spot_rms[1:], bars[1:], equal_nan=True)
+    assert strips(without).png
 
 
 def test_a_refused_calibration_says_whether_its_rig_was_written(file: CalibrationFile):

@@ -9,6 +9,7 @@ import numpy as np
 from planeopt.calibration.ladder import LEVEL
 from planeopt.calibration.record import AdjustmentRecord, CalibrationFile
 from planeopt.report import calibration_tables as tables
+from planeopt.report.calibration_conditions import conditions
 from planeopt.report.calibration_coverage import coverage, poses
 from planeopt.report.calibration_geometry import beam, warp
 from planeopt.report.calibration_numbers import correlation_matrix, correlations, cost
@@ -68,7 +69,7 @@ def _verdict(file: CalibrationFile, data: Data) -> Section:
     if file.next_view is not None:
         blocks.append(Text(file.next_view.sentence, "note"))
     if file.gates:
-        blocks.append(tables.gates(data))
+        blocks.append(conditions(data))
     return Section("verdict", "Verdict", tuple(blocks), tone=file.verdict, flows=True)
 
 

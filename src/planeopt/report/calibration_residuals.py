@@ -7,6 +7,7 @@ import scipy.stats
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from planeopt.calibration.noise import ELLIPSE as ELLIPSE_NUMBERS
 from planeopt.calibration.record import AdjustmentRecord, CalibrationFile
 from planeopt.report.content import Picture
 from planeopt.report.style import BAND, DARK, ELLIPSE, LIGHT, PAGE_WIDTH, REJECTED, page_figure, picture
@@ -41,6 +42,8 @@ class Left:
         Standard deviations.
     spot_used : (M,) array of bool
     spot_view : (M,) array of int
+    spot_rms : (V,) array
+        Root mean square of the five numbers of each view's ellipse, standard deviations; NaN without a spot in use.
     """
 
     places: Array
@@ -51,12 +54,14 @@ class Left:
     spots: Array
     spot_used: Mask
     spot_view: NDArray[np.int64]
+    spot_rms: Array
 
     @classmethod
     def of(cls, file: CalibrationFile, adjustment: AdjustmentRecord) -> "Left":
         """Return what is left of the observations of a file."""
         seen, fits, noise = file.observations.views, adjustment.views, adjustment.noise
         spots, kept, whose = [], [], []
+        misfit = [fit.spot_chi2 if fit.spot_used and fit.spot_chi2 is not None else np.nan for fit in fits]
         for i, (view, fit) in enumerate(zip(seen, fits, strict=True)):
             if view.spot is None or not fit.spot_residuals_px:
                 continue
@@ -74,6 +79,7 @@ class Left:
             spots=np.concatenate(spots) if spots else np.empty(0),
             spot_used=np.concatenate(kept) if kept else np.empty(0, dtype=bool),
             spot_view=np.concatenate(whose) if whose else np.empty(0, dtype=np.int64),
+            spot_rms=np.sqrt(np.array(misfit) / ELLIPSE_NUMBERS) / noise.spot_factor,
         )
 
     @property
@@ -165,23 +171,23 @@ def strips(left: Left) -> Picture:
     with page_figure(PAGE_WIDTH, 4.4 if with_spots else 2.6) as figure:
         made = figure.subplots(2 if with_spots else 1, 1, sharex=True, squeeze=False)[:, 0]
         spread = np.concatenate([left.whitened[:, 0], left.whitened[:, 1]])
-        _strip(made[0], spread, np.tile(left.used, 2), np.tile(left.view, 2), views)
+        used, view = np.tile(left.used, 2), np.tile(left.view, 2)
+        _strip(made[0], spread, used, view, views)
+        _bars(made[0], _rms(spread[used], view[used], views), "root mean square")
         made[0].set_ylabel(r"corners ($\sigma$)")
         if with_spots:
             _strip(made[1], left.spots, left.spot_used, left.spot_view, views)
+            _bars(made[1], left.spot_rms, "root mean square of the ellipse's five numbers")
             made[1].set_ylabel(r"spot's boundary ($\sigma$)")
         made[-1].set_xlabel("view")
-        made[0].legend(loc="lower right", bbox_to_anchor=(1, 1.0), ncols=4, frameon=False, borderpad=0.1)
+        for axes in made:
+            axes.legend(loc="lower right", bbox_to_anchor=(1, 1.0), ncols=4, frameon=False, borderpad=0.1)
         return picture(figure, "Residuals of corners and of the spots' boundaries in each view, in standard deviations")
 
 
 def _strip(axes: Axes, values: Array, used: Mask, view: NDArray[np.int64], views: int) -> None:
     for times, shade in zip((2, 1), BAND, strict=True):
         axes.axhspan(-times, times, color=shade, lw=0)
-    squares = np.bincount(view[used], values[used] ** 2, minlength=views)
-    count = np.bincount(view[used], minlength=views)
-    rms = np.sqrt(squares / np.maximum(count, 1))
-    there = np.flatnonzero(count)
     if views <= _DOTTED:
         # Spread over the width of the view's place in the order in which they come.
         order = np.arange(len(values)) * 0.6180339887498949 % 1 - 0.5
@@ -197,10 +203,22 @@ def _strip(axes: Axes, values: Array, used: Mask, view: NDArray[np.int64], views
                 color=REJECTED,
                 label=f"left out ({_REACH:g} and beyond at the edge)",
             )
-    both = np.concatenate([rms[there], -rms[there]])
-    axes.hlines(both, np.tile(there + 0.6, 2), np.tile(there + 1.4, 2), color=ELLIPSE, lw=1.8, label="root mean square")
     axes.axhline(0, color="black", lw=0.6)
     axes.set(xlim=(0.4, views + 0.6), ylim=(-_REACH - 0.3, _REACH + 0.3))
+
+
+def _rms(values: Array, view: NDArray[np.int64], views: int) -> Array:
+    """Return the root mean squares (views,) of each view's values, NaN where there are none."""
+    squares, count = np.bincount(view, values**2, minlength=views), np.bincount(view, minlength=views)
+    return np.sqrt(np.divide(squares, count, out=np.full(views, np.nan), where=count > 0))
+
+
+def _bars(axes: Axes, rms: Array, label: str) -> None:
+    """Draw a root mean square of each view where there is one, above and below zero; beyond the edge, at it."""
+    there = np.flatnonzero(np.isfinite(rms))
+    height = np.minimum(rms[there], _REACH)
+    both = np.concatenate([height, -height])
+    axes.hlines(both, np.tile(there + 0.6, 2), np.tile(there + 1.4, 2), color=ELLIPSE, lw=1.8, label=label)
 
 
 def histograms(left: Left, adjustment: AdjustmentRecord) -> Picture:

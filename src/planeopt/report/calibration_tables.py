@@ -28,21 +28,6 @@ def digits(data: Data, key: str, count: int = 3) -> Cell:
 _TINY = 1e-4
 
 
-def gates(data: Data) -> Table:
-    """Return the conditions of a good session."""
-    rows = []
-    for i, gate in enumerate(data["gates"]):
-        at = f"gates.{i}"
-        numbers = [digits(data, f"{at}.{name}") for name in ("value", "limits.0", "limits.1")]
-        rows.append((Cell(gate["name"]), Cell(gate["state"], tone=STATES[gate["state"]]), *numbers, _said(gate)))
-    columns = ("condition", "state", "found", "warns from", "refuses from", "")
-    return Table("Conditions", columns, tuple(rows), CAPTIONS["gates"], words=2, last_in_words=True, key="gates")
-
-
-def _said(record: Mapping[str, Any]) -> Cell:
-    return Cell(record["sentence"])
-
-
 def images(data: Data) -> Table:
     """Return what became of each image."""
     rows = []

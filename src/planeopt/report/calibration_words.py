@@ -53,6 +53,33 @@ TERMS = {
     "divergence": "divergence of the beam",
 }
 
+UNITS = {
+    "images": "share of the images",
+    "marker size": "relative",
+    "mirror": "share of the views",
+    "views": "views",
+    "spots": "views",
+    "coverage": "share of the cells",
+    "border": "share of the way",
+    "tilt": "tilted views",
+    "tilt directions": "directions",
+    "one camera": "relative, of f",
+    "spot distances": "ratio",
+    "board distances": "ratio",
+    "square proportion": "relative",
+    "single views": "times the others",
+    "one beam": "times the sigmas",
+    "board bow": "mm",
+    "board shape": "share of the misfit",
+    "residuals": "px",
+    "spot residuals": "px",
+    "outliers": "share of the corners",
+    "camera conditioning": "condition number",
+    "beam conditioning": "condition number",
+    "focal length": "relative sigma",
+}
+"""What the numbers of a condition are, by its name."""
+
 VERDICTS = {
     "ok": "Good.",
     "degraded": "Usable with a reservation: read why before it is used.",
@@ -67,8 +94,9 @@ NOT_WRITTEN = "No rig.toml was written; --force writes one that is marked as ref
 
 CAPTIONS = {
     "gates": (
-        "What a good session meets, each with what was found, where the warning begins and where the refusal. Good: "
-        "all ok. A warning says what to do about it; so does a refusal, and the first one is the cause as a rule."
+        "What a good session meets, each with what was found, where it is ok and where it is refused; what is neither "
+        "is warned of. What is beyond by no more than chance may give is ok as well. Good: all ok. A warning says what "
+        "to do about it; so does a refusal, and the first one is the cause as a rule."
     ),
     "images": ("What became of each image. Good: all used, with a spot in most of them; what is not used says why."),
     "parameters": (
@@ -114,8 +142,11 @@ CAPTIONS = {
     ),
     "strips": (
         "The same view by view, in standard deviations: above, x and y of each corner, with the root mean square as a "
-        "bar; below, points of the spot's boundary. Crosses were left out by rule. Good: all views alike, bars near 1, "
-        "hardly a point beyond 3. One view that stands out was moved, blurred or is of another camera."
+        "bar; below, points of the spot's boundary, with the root mean square of the five numbers of its ellipse as a "
+        "bar. Crosses were left out by rule. Good: all views alike, hardly a point beyond 3, bars of corners near 1, "
+        "those of spots between 0.4 and 1.6 in 19 of 20 views, since five numbers tell no more. Points of a boundary "
+        "may scatter less than the bar says: they are not independent, which their sigma allows for. One view that "
+        "stands out was moved, blurred or is of another camera."
     ),
     "histogram": (
         "The distribution of all of these against the normal that is expected (of corners after the fit has taken its "
