@@ -299,7 +299,7 @@ def residual_gate(adjustment: Adjustment) -> Gate:
             "ok",
             sigma,
             _CORNERS_PX,
-            f"{told}; up to 0.3 px is good.",
+            f"{told}; up to {_CORNERS_PX[0]:g} px is accepted.",
             symptom=True,
         )
     return Gate(
@@ -307,8 +307,8 @@ def residual_gate(adjustment: Adjustment) -> Gate:
         state,
         sigma,
         _CORNERS_PX,
-        f"{told}: more than corners can be mislocated; up to 0.3 px is good. The images are blurred, board or camera "
-        "moved, the board's file is not this board's, or the board is not flat. Do not drop views until it looks fine: "
+        f"{told}: more than corners can be mislocated; up to {_CORNERS_PX[0]:g} px is accepted. The images are "
+        "blurred, board or camera moved, the board's file is not this board's, or the board is not flat. Do not drop views until it looks fine: "
         "find which of these it is.",
         symptom=True,
     )
