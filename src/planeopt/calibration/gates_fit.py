@@ -308,8 +308,8 @@ def residual_gate(adjustment: Adjustment) -> Gate:
         sigma,
         _CORNERS_PX,
         f"{told}: more than corners can be mislocated; up to {_CORNERS_PX[0]:g} px is accepted. The images are "
-        "blurred, board or camera moved, the board's file is not this board's, or the board is not flat. Do not drop views until it looks fine: "
-        "find which of these it is.",
+        "blurred, board or camera moved, the board's file is not this board's, or the board is not flat. Do not drop "
+        "views until it looks fine: find which of these it is.",
         symptom=True,
     )
 
