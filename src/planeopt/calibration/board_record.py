@@ -10,7 +10,7 @@ from planeopt.calibration.board_causes import Moved
 from planeopt.calibration.board_check import check_board
 from planeopt.calibration.board_verdict import BoardChange, BoardCheck, BoardState, BoardTest, ViewTest
 from planeopt.calibration.detection import Detected, ImageStatus
-from planeopt.check import CheckStatus, Verdict
+from planeopt.check import ChangeRecord, CheckStatus, Verdict
 from planeopt.record import finite
 from planeopt.rig import Rig
 
@@ -37,15 +37,6 @@ class BoardTestRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
         )
 
 
-class AmountRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """By how much a parameter has changed."""
-
-    name: str
-    unit: str
-    value: float
-    sigma: float
-
-
 class MovedRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A group of parameters, what its change explains of chi-squared, and that change."""
 
@@ -53,11 +44,11 @@ class MovedRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     chi2: float
     dof: int
     p_value: float
-    changes: tuple[AmountRecord, ...]
+    changes: tuple[ChangeRecord, ...]
 
     @classmethod
     def of(cls, moved: Moved) -> "MovedRecord":
-        changes = tuple(AmountRecord(name=n, unit=u, value=value, sigma=s) for n, u, value, s in moved.changes)
+        changes = tuple(ChangeRecord(name=n, unit=u, value=value, sigma=s) for n, u, value, s in moved.changes)
         return cls(group=moved.group, chi2=moved.chi2, dof=moved.dof, p_value=moved.p_value, changes=changes)
 
 
