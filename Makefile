@@ -24,8 +24,9 @@ lint: $(READY)
 types: $(READY)
 	$(BIN)/pyright
 
+# A file's tests stay together: what they share (a calibration, a page, a report) is made once and not in each worker.
 test: lint types
-	$(BIN)/pytest -n $(WORKERS)
+	$(BIN)/pytest -n $(WORKERS) --dist loadfile
 
 # The other end of what pyproject.toml allows: the oldest versions of everything, OpenCV 4.10 among them, and the tests
 # that reach it. Wheels of all of them exist for Python 3.11 and 3.12. What old libraries deprecate of each other is theirs.
