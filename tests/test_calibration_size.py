@@ -9,7 +9,7 @@ from planeopt.calibration.adjustment import adjust
 from planeopt.calibration.model import Model
 from planeopt.simulation import long_session
 
-COUNTS = (40, 80, 160)
+COUNTS = (20, 40, 80)
 
 
 @pytest.fixture(scope="module")

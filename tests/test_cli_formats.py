@@ -135,7 +135,7 @@ def test_force_overwrites(tmp_path: Path):
 
 def test_the_documents_show_what_is_written():
     text = (Path(__file__).parents[1] / "docs" / "formats.md").read_text(encoding="utf-8")
-    shown = re.findall(r"^```(?:yaml|python)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    shown = re.findall(r"^```(?:yaml|text)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
     formats: tuple[ExportFormat, ...] = ("ros", "opencv", "kalibr", "mrcal")
     for to, block in zip(formats, shown, strict=True):
         # All but the comment at the head.
