@@ -40,7 +40,7 @@ class _Size:
     """Of the accuracy's cells only every so many-th."""
 
 
-_SIZES: dict[Mode, _Size] = {"full": _Size(200, 20, 6, 100, 6, 20), "quick": _Size(12, 1, 2, 15, 1, 2, 4)}
+_SIZES: dict[Mode, _Size] = {"full": _Size(200, 20, 6, 100, 6, 20), "quick": _Size(8, 1, 2, 8, 1, 1, 5)}
 
 
 def run(mode: Mode, executor: Executor | None = None) -> Result:
