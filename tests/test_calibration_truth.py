@@ -3,10 +3,10 @@
 import os
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
+from opencv_camera import opencv_camera
 from planeopt.accuracy import Score, read_truth
 from planeopt.batch import measure
 from planeopt.calibration import Calibration, Options, calibrate
@@ -84,17 +84,7 @@ def test_real_photographs_give_opencv_s_camera():
     options = Options(focal="separate", distortion="k3", warp=False, corner_weights="equal", reject=False)
     ours = calibrate(shared("real-charuco"), options).adjustment
     assert ours is not None
-    observations = ours.observations
-    board = np.column_stack([observations.board.corners, np.zeros(len(observations.board.corners))])
-    _, matrix, distortion, _, _ = cv2.calibrateCamera(
-        [board[view.ids].astype(np.float32) for view in observations.views],
-        [view.corners.astype(np.float32) for view in observations.views],
-        observations.image_size,
-        np.eye(3),
-        np.zeros(5),
-        criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 1000, 1e-14),
-    )
-    theirs = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *np.ravel(distortion)[:5]]
+    theirs, _ = opencv_camera(ours.observations)
     sigmas = [ours.sigma(name) for name in ours.names]
     # OpenCV takes corners in single precision, which is 3e-5 px here, a three thousandth of their noise.
     np.testing.assert_array_less(np.abs(ours.values - theirs) / sigmas, 0.01)

@@ -4,13 +4,14 @@ import json
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from enum import Enum
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import msgspec
 
 from planeopt.batch import Search, StrPath, measure
-from planeopt.estimation.drift import BLIND, Change, Drift, PartTest, State, drift
+from planeopt.estimation.drift import BLIND, Change, State, drift
 from planeopt.estimation.sequence import Positions
 from planeopt.executors import ordered_map
 from planeopt.record import PoseRecord, RecordStatus, finite
@@ -36,18 +37,33 @@ class ImageRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     flags: tuple[str, ...]
 
 
+class TestedPart(Protocol):
+    """One part of a test of a rig; the value of `part` is what it says where it is not ok."""
+
+    @property
+    def part(self) -> Enum: ...
+    @property
+    def chi2(self) -> float: ...
+    @property
+    def dof(self) -> float: ...
+    @property
+    def p_value(self) -> float: ...
+    @property
+    def ok(self) -> bool: ...
+
+
 class PartRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One part of the test of all images: `pooled`, `shift`, `trend` or `rest`."""
+    """One part of the test of all images: `pooled`, `shift`, `trend` or `rest`; with a board `spots` and no `trend`."""
 
     part: str
     chi2: float
-    dof: int
+    dof: float
     p_value: float
     ok: bool
     message: str
 
     @classmethod
-    def of(cls, test: PartTest) -> "PartRecord":
+    def of(cls, test: TestedPart) -> "PartRecord":
         return cls(
             part=test.part.name.lower(),
             chi2=test.chi2,
@@ -160,7 +176,7 @@ def check(tested: Sequence[Tested], rig: Rig, positions: Positions, rig_name: st
     return CheckRecord(
         rig=rig_name,
         status=status[found.state],
-        message=_message(found, tested),
+        message=with_lost(found.verdict, [(image.input, image.message) for image in tested if image.solution is None]),
         untested=BLIND,
         chi2=finite(found.chi2),
         dof=None if found.chi2 is None else found.dof,
@@ -176,13 +192,20 @@ def check(tested: Sequence[Tested], rig: Rig, positions: Positions, rig_name: st
     )
 
 
-def _message(found: Drift, tested: Sequence[Tested]) -> str:
-    """The verdict, and what kept images out of it: a spot that is not where the beam can be says something too."""
-    lost = [image for image in tested if image.solution is None]
+def with_lost(verdict: str, lost: Sequence[tuple[str, str]]) -> str:
+    """Return a verdict, and what kept images out of it: a spot that is not where the beam can be says something too.
+
+    Parameters
+    ----------
+    verdict : str
+    lost : sequence of (str, str)
+        Names of images, and why they are not in it.
+    """
     if not lost:
-        return found.verdict
+        return verdict
     count = "1 image" if len(lost) == 1 else f"{len(lost)} images"
-    return f"{found.verdict} Not in this: {count}, the first {lost[0].input} ({lost[0].message})"
+    name, reason = lost[0]
+    return f"{verdict} Not in this: {count}, the first {name} ({reason})"
 
 
 def _image_record(record: PoseRecord, position: float, *, used: bool) -> ImageRecord:

@@ -43,9 +43,30 @@ def read_toml(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
     InputError
         If the file is missing, unreadable or not TOML.
     """
+    text = read_text(path, what)
+    try:
+        return tomllib.loads(text)
+    except ValueError as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from error
+
+
+def read_text(path: str | os.PathLike[str], what: str) -> str:
+    """Return what a text file holds, in UTF-8 with or without a mark at its head.
+
+    Parameters
+    ----------
+    path : path-like
+    what : str
+        What the file is, in a word.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, unreadable or not text.
+    """
     file = Path(path)
     try:
-        return tomllib.loads(file.read_bytes().decode("utf-8-sig"))
+        return file.read_bytes().decode("utf-8-sig")
     except FileNotFoundError as error:
         raise InputError(f"{file}: there is no such file") from error
     except IsADirectoryError as error:
@@ -54,8 +75,6 @@ def read_toml(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
         raise InputError(f"{file}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{file}: not a text file in UTF-8 (byte {error.start})") from error
-    except ValueError as error:
-        raise InputError(f"{file}: not valid TOML: {error}") from error
 
 
 def as_tables(mapping: Mapping[str, Any], kind: type[T], source: str) -> T:

@@ -100,6 +100,12 @@ class Observations:
             if wrong.size:
                 raise InputError(f"{view.name}: the board has the corners 0 to {count - 1}, not {int(wrong[0])}")
 
+    @property
+    def corner_sigma(self) -> float:
+        """Root mean square of the sigmas of all corners, px, as given; 1 without corners."""
+        sigmas = np.concatenate([np.empty(0), *(view.sigma for view in self.views)])
+        return float(np.sqrt(np.mean(sigmas**2))) if sigmas.size else 1.0
+
 
 def _numbers(values: ArrayLike, what: str) -> FloatArray:
     try:

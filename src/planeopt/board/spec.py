@@ -1,7 +1,7 @@
 """A ChArUco board: its specification and where its corners are."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -156,6 +156,14 @@ class Board:
             seen[np.all((past >= -slack) & (past <= np.array([width, height]) + slack), axis=1)] = False
         seen.setflags(write=False)
         return seen
+
+    def stretched(self, x: float, y: float) -> "Board":
+        """Return a board whose lengths are longer by these factors along x and along y; the markers by the smaller."""
+        window = self.window_mm
+        if window is not None:
+            window = (window[0] * x, window[1] * y, window[2] * x, window[3] * y)
+        sides = self.square_mm[0] * x, self.square_mm[1] * y
+        return replace(self, square_mm=sides, marker_mm=self.marker_mm * min(x, y), window_mm=window)
 
     def bow(self, points: ArrayLike) -> FloatArray:
         """Return the two shapes by which a bowed board departs from a plane, at points of it.

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from planeopt.board import View
 from planeopt.calibration.adjustment import Adjustment
+from planeopt.calibration.ladder import parallelism
 from planeopt.calibration.observed import pairs
 from planeopt.calibration.record import (
     AdjustmentRecord,
@@ -91,10 +92,9 @@ def _angles(adjustment: Adjustment) -> Iterable[ParameterRecord]:
         part = (x, y)[i]
         gradient = (z * np.eye(2)[i] - part * by_z) / (part**2 + z**2)
         yield parameter(f"{name}_mrad", "mrad", 1e3 * math.atan2(part, z), 1e3 * _spread(gradient, covariance))
-    across = math.hypot(x, y)
+    angle, sigma = parallelism(adjustment)
     # Of no angle at all the first order says nothing.
-    sigma = 1e3 * _spread(np.array([x, y]) / (across * z), covariance) if across > 0 else None
-    yield parameter("angle_mrad", "mrad", 1e3 * math.atan2(across, z), sigma)
+    yield parameter("angle_mrad", "mrad", 1e3 * angle, 1e3 * sigma if angle > 0 else None)
 
 
 def _spread(gradient: Array, covariance: Array) -> float:

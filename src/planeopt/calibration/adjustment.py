@@ -146,8 +146,7 @@ class Adjustment:
     @property
     def corner_sigma(self) -> float:
         """Standard deviation of a coordinate of a typical corner, px: the rms of the sigmas given, times the factor."""
-        sigmas = np.concatenate([view.sigma for view in self.observations.views])
-        return float(self.noise.corners * np.sqrt(np.mean(sigmas**2)))
+        return self.noise.corners * self.observations.corner_sigma
 
     @cached_property
     def camera(self) -> Camera:
@@ -182,7 +181,7 @@ def adjust(
     *,
     prior: Rig | Prior | None = None,
     held: Rig | None = None,
-    start: State | None = None,
+    start: State | Camera | None = None,
     noise: Noise | None = None,
     reject: bool = True,
 ) -> Adjustment:
@@ -201,8 +200,8 @@ def adjust(
         What is known of free parameters beforehand; a rig with its covariance.
     held : Rig, optional
         Where what is not free stays; needed where the camera is not free.
-    start : State, optional
-        With as many poses as there are views.
+    start : State or Camera, optional
+        With as many poses as there are views; or a camera from which to look for them.
     noise : Noise, optional
         Known factors of the sigmas, instead of those estimated.
     reject : bool
@@ -235,8 +234,10 @@ def adjust(
     _enough(task)
     job = _Job(observations, task, noise, held)
     try:
-        from_here = approach(task, held) if start is None else _with_one_focal_length(start, model)
-        state = _near(job, from_here)
+        if isinstance(start, State):
+            state = _near(job, _with_one_focal_length(start, model))
+        else:
+            state = _near(job, approach(task, held, start))
         return job.finish(state, reject=reject)
     except np.linalg.LinAlgError as error:
         raise AdjustmentError("The observations do not determine the free parameters: too few views.") from error
@@ -248,6 +249,15 @@ def _with_one_focal_length(state: State, model: Model) -> State:
         return state
     both = (state.value("fx") + state.value("fy")) / 2
     return replace(state, values=np.where(np.isin(FULL, ("fx", "fy")), both, state.values))
+
+
+def weights_kept(adjustment: Adjustment, packed: Packed) -> Weights:
+    """Return the weights by the sigmas given of what an adjustment used; 0 for what it left out."""
+    given = weights_given(packed)
+    used = np.zeros_like(packed.corner_seen)
+    for row, (view, kept) in enumerate(zip(adjustment.observations.views, adjustment.corner_used, strict=True)):
+        used[row, view.ids] = kept
+    return Weights(given.corners * used, given.boundary * adjustment.spot_used[:, None])
 
 
 def refit(adjustment: Adjustment, model: Model) -> Adjustment:
@@ -265,18 +275,15 @@ def refit(adjustment: Adjustment, model: Model) -> Adjustment:
     AdjustmentError
         If the observations do not determine the model.
     """
-    observations, packed = adjustment.observations, Packed.of(adjustment.observations)
-    given = weights_given(packed)
-    corners = np.zeros_like(given.corners)
-    for row, (view, used) in enumerate(zip(observations.views, adjustment.corner_used, strict=True)):
-        corners[row, view.ids[used]] = given.corners[row, view.ids[used]]
-    weights = Weights(corners, given.boundary * adjustment.spot_used[:, None])
+    packed = Packed.of(adjustment.observations)
+    weights = weights_kept(adjustment, packed)
     dropped = [name for name in adjustment.names if name not in model.names and name in _MAY_VANISH]
     start = replace(adjustment.state, values=np.where(np.isin(FULL, dropped), 0.0, adjustment.state.values))
     start = _with_one_focal_length(start, model)
     task = Task(packed, model, bool(adjustment.spot_used.any()) and model.beam != "none", adjustment.prior)
     try:
-        return _Job(observations, task, adjustment.noise, adjustment.held).fit(start, weights, adjustment.noise)
+        job = _Job(adjustment.observations, task, adjustment.noise, adjustment.held)
+        return job.fit(start, weights, adjustment.noise)
     except np.linalg.LinAlgError as error:
         raise AdjustmentError("The observations do not determine the free parameters: too few views.") from error
 

@@ -10,10 +10,10 @@ from planeopt.calibration.equations import AdjustmentError, Equations, Task, Wei
 from planeopt.calibration.model import RUNGS, Model, Rung
 from planeopt.calibration.noise import corner_norms, robust_noise, weights_given
 from planeopt.calibration.packed import Packed
-from planeopt.calibration.start import other_poses, pose_views, start_beam, start_camera
+from planeopt.calibration.start import likely_camera, other_poses, pose_views, start_beam
 from planeopt.calibration.state import State
 from planeopt.errors import InputError
-from planeopt.rig import Rig
+from planeopt.rig import Camera, Rig
 
 Array = NDArray[np.float64]
 
@@ -26,13 +26,15 @@ _TURNED: Rung = "k1"
 """The rung on which the boards' other poses are tried: without k1 the better one may be the wrong one."""
 
 
-def approach(task: Task, held: Rig | None) -> State:
+def approach(task: Task, held: Rig | None, near: Camera | None = None) -> State:
     """Return a state near the least cost or, where a rig is held, with its values.
 
     Parameters
     ----------
     task : Task
     held : Rig, optional
+    near : Camera, optional
+        Where to look for the camera; found from the views unless given.
 
     Raises
     ------
@@ -42,20 +44,22 @@ def approach(task: Task, held: Rig | None) -> State:
         If a view has too few corners, or no spot is an ellipse.
     """
     packed, model = task.packed, task.model
-    if held is None and model.camera:
-        state = _camera(packed, model)
+    if held is not None:
+        state = pose_views(packed, held.camera, _rest(held))
+    elif model.camera:
+        state = _camera(packed, model, near)
     else:
-        state = start_camera(packed) if held is None else pose_views(packed, held.camera, _rest(held))
+        state = pose_views(packed, likely_camera(packed) if near is None else near)
     if model.beam != "none" and (held is None or held.beam is None):
         state = start_beam(packed, state, free=model.beam == "free")
     return state
 
 
-def _camera(packed: Packed, model: Model) -> State:
+def _camera(packed: Packed, model: Model, near: Camera | None) -> State:
     """Return camera and poses, from no more views than it takes: the others follow from the camera."""
     rows = np.unique(np.linspace(0, len(packed) - 1, _ENOUGH).round().astype(np.intp))
     some = packed.some(rows)
-    state = start_camera(some)
+    state = pose_views(some, likely_camera(some) if near is None else near)
     # By rungs: what a rung finds is a good start for the next, and from afar k2 or k3 may fold the image.
     target = RUNGS.index(model.distortion)
     stairs: list[Rung] = [rung for rung in _STAIRS if RUNGS.index(rung) < target]

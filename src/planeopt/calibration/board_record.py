@@ -1,40 +1,17 @@
 """The record of a check by new views of a board: images in, a verdict and its record out."""
 
 import math
-from collections.abc import Sequence
 from typing import Literal
 
 import msgspec
 
 from planeopt.calibration.board_causes import Moved
 from planeopt.calibration.board_check import check_board
-from planeopt.calibration.board_verdict import BoardChange, BoardCheck, BoardState, BoardTest, ViewTest
+from planeopt.calibration.board_verdict import BoardChange, BoardState, ViewTest
 from planeopt.calibration.detection import Detected, ImageStatus
-from planeopt.check import ChangeRecord, CheckStatus, Verdict
+from planeopt.check import ChangeRecord, CheckStatus, PartRecord, Verdict, with_lost
 from planeopt.record import finite
 from planeopt.rig import Rig
-
-
-class BoardTestRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One part of the test of all views: `pooled`, `shift`, `rest` or `spots`."""
-
-    part: str
-    chi2: float
-    dof: float
-    p_value: float
-    ok: bool
-    message: str
-
-    @classmethod
-    def of(cls, test: BoardTest) -> "BoardTestRecord":
-        return cls(
-            part=test.part.name.lower(),
-            chi2=test.chi2,
-            dof=test.dof,
-            p_value=test.p_value,
-            ok=test.ok,
-            message="Within what chance explains." if test.ok else test.part.value,
-        )
 
 
 class MovedRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -98,7 +75,7 @@ class ViewRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 class BoardCheckRecord(Verdict, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What `planeopt check --board` found."""
 
-    tests: tuple[BoardTestRecord, ...]
+    tests: tuple[PartRecord, ...]
     causes: tuple[MovedRecord, ...]
     instead: tuple[str, ...]
     groups: tuple[MovedRecord, ...]
@@ -135,12 +112,14 @@ def check_detected(detected: Detected, rig: Rig, rig_name: str, *, bow_mm: float
     return BoardCheckRecord(
         rig=rig_name,
         status=status[found.state],
-        message=_message(found, detected.images),
+        message=with_lost(
+            found.verdict, [(image.name, image.reason) for image in detected.images if image.status == "refused"]
+        ),
         untested=found.untested,
         chi2=None if first is None else first.chi2,
         dof=None if first is None else first.dof,
         p_value=None if first is None else first.p_value,
-        tests=tuple(map(BoardTestRecord.of, found.tests)),
+        tests=tuple(map(PartRecord.of, found.tests)),
         causes=tuple(map(MovedRecord.of, found.causes)),
         instead=found.instead,
         groups=tuple(map(MovedRecord.of, found.groups)),
@@ -148,14 +127,6 @@ def check_detected(detected: Detected, rig: Rig, rig_name: str, *, bow_mm: float
         corner_sigma_px=finite(found.corner_sigma),
         images=tuple(_view(image, views.get(image.name)) for image in detected.images),
     )
-
-
-def _message(found: BoardCheck, images: Sequence[ImageStatus]) -> str:
-    lost = [image for image in images if image.status == "refused"]
-    if not lost:
-        return found.verdict
-    count = "1 image" if len(lost) == 1 else f"{len(lost)} images"
-    return f"{found.verdict} Not in this: {count}, the first {lost[0].name} ({lost[0].reason})"
 
 
 def _view(image: ImageStatus, view: ViewTest | None) -> ViewRecord:

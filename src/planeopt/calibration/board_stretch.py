@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planeopt.board import Board
 from planeopt.calibration.adjustment import Adjustment, adjust
 from planeopt.calibration.per_view import joined, linearised
 from planeopt.calibration.projection import Linear
@@ -66,16 +65,9 @@ def in_proportion(adjustment: Adjustment) -> tuple[Adjustment, float]:
     share, found = 0.0, adjustment
     for _ in range(_STEPS):
         share += board_stretch(found)[0]
-        observations = replace(adjustment.observations, board=_stretched(stated, share))
+        observations = replace(adjustment.observations, board=stated.stretched(1 - share / 2, 1 + share / 2))
         found = adjust(observations, model, prior=adjustment.prior, start=found.state, held=adjustment.held)
     return found, share
-
-
-def _stretched(board: Board, share: float) -> Board:
-    x, y = 1 - share / 2, 1 + share / 2
-    window = None if board.window_mm is None else tuple(np.multiply(board.window_mm, [x, y, x, y]).tolist())
-    sides = board.square_mm[0] * x, board.square_mm[1] * y
-    return replace(board, square_mm=sides, marker_mm=board.marker_mm * min(x, y), window_mm=window)
 
 
 def _with(linear: Linear, selection: Array, column: Array) -> Linear:

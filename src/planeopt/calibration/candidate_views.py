@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from planeopt.calibration.expected import CHUNK, Observer, before_camera, some, some_seen
+from planeopt.calibration.expected import CHUNK, Observer, before_camera, some_seen
 from planeopt.calibration.state import State, rotation_matrices
 
 Array = NDArray[np.float64]
@@ -39,15 +39,15 @@ def candidates(observer: Observer) -> tuple[State, Array]:
     proposed = _proposed(observer)
     kept, added = [], []
     for begin in range(0, len(proposed.rotations), CHUNK):
-        part = some(proposed, np.arange(len(proposed.rotations))[begin : begin + CHUNK])
-        part = some(part, _readable(observer, part))
+        part = proposed.some(np.arange(len(proposed.rotations))[begin : begin + CHUNK])
+        part = part.some(_readable(observer, part))
         seen = observer.seen(part)
         share = np.count_nonzero(seen.corner_seen, axis=1) / np.count_nonzero(observer.board.printed)
         good = share >= _CORNERS_SEEN
         if observer.with_beam:
             good &= seen.spot_seen
         if np.any(good):
-            part = some(part, good)
+            part = part.some(good)
             kept.append(part)
             added.append(observer.information(part, some_seen(seen, good)))
     names = observer.selection.shape[1]

@@ -50,6 +50,10 @@ class Weights:
     corners: Array
     boundary: Array
 
+    def some(self, rows: NDArray[np.intp]) -> "Weights":
+        """Return those of some of the views."""
+        return Weights(self.corners[rows], self.boundary[rows])
+
 
 @dataclass(frozen=True, eq=False)
 class Prior:

@@ -16,7 +16,6 @@ from planeopt.calibration.state import State
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Rows = Mask | NDArray[np.intp]
 
 CHUNK = 256
 """Views worked on at once."""
@@ -172,12 +171,12 @@ def expected_information(adjustment: Adjustment, rotations: ArrayLike, translati
     found = np.zeros((len(state.rotations), names, names))
     for begin in range(0, len(found), CHUNK):
         chunk = np.arange(len(found))[begin : begin + CHUNK]
-        rows = chunk[before_camera(observer.board, some(state, chunk))]
-        part = some(state, rows)
+        rows = chunk[before_camera(observer.board, state.some(chunk))]
+        part = state.some(rows)
         seen = observer.seen(part)
         enough = np.count_nonzero(seen.corner_seen, axis=1) >= LEAST_CORNERS
         if np.any(enough):
-            found[rows[enough]] = observer.information(some(part, enough), some_seen(seen, enough))
+            found[rows[enough]] = observer.information(part.some(enough), some_seen(seen, enough))
     return found
 
 
@@ -186,11 +185,6 @@ def before_camera(board: Board, state: State) -> Mask:
     edges = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]]) * [*board.size_mm, 0.0]
     placed = edges @ np.swapaxes(state.rotations, -1, -2) + state.translations[:, None]
     return np.all(placed[..., 2] > 0, axis=1)
-
-
-def some(state: State, rows: Rows) -> State:
-    """Return the state with some of its poses."""
-    return replace(state, rotations=state.rotations[rows], translations=state.translations[rows])
 
 
 def some_seen(seen: Seen, rows: Mask) -> Seen:

@@ -15,7 +15,7 @@ from planeopt.calibration.equations import AdjustmentError, Prior
 from planeopt.calibration.gate import Gate, at_most
 from planeopt.calibration.gates_seen import Image
 from planeopt.calibration.ladder import Tested
-from planeopt.calibration.model import FULL, Model
+from planeopt.calibration.model import Model
 from planeopt.calibration.null_direction import NullDirection, null_directions
 from planeopt.calibration.packed import Packed
 from planeopt.calibration.start import LEAST_CORNERS, pose_views
@@ -183,7 +183,7 @@ def _loosely_adjusted(observations: Observations) -> Adjustment | None:
     beamless = Model(distortion="k1", warp=False, beam="none")
     try:
         # From an ordinary camera: what is looked for without the prior may have run off already.
-        start = pose_views(Packed.of(observations), camera, np.zeros(len(FULL) - 9))
+        start = pose_views(Packed.of(observations), camera)
         return adjust(replace(observations, spot="none"), beamless, prior=prior, start=start)
     except (AdjustmentError, InputError) as error:
         _log.debug("no poses either with a camera that is known loosely: %s", error)

@@ -171,7 +171,7 @@ def _predict_corners(
         Free parameters and their covariance, where the rig is not from these views.
     """
     rows = np.flatnonzero(known.any(axis=1) & asked.any(axis=1))
-    some, part = _rows(packed, rows), _rows_of_state(state, rows)
+    some, part = packed.some(rows), state.some(rows)
     task = Task(some, Model(camera=False, warp=False, beam="none"), with_spots=False)
     given = np.where(known[rows], weights.corners[rows], 0.0)
     placed = descend(task, part, Weights(given, np.zeros_like(weights.boundary[rows]))).here
@@ -244,7 +244,7 @@ def _fold(
     fewer = replace(
         adjustment,
         observations=replace(adjustment.observations, views=tuple(views[row] for row in kept)),
-        state=_rows_of_state(adjustment.state, kept),
+        state=adjustment.state.some(kept),
         corner_used=tuple(adjustment.corner_used[row] for row in kept),
         spot_used=adjustment.spot_used[kept],
     )
@@ -254,19 +254,15 @@ def _fold(
         _log.debug("no calibration without %s: %s", ", ".join(views[row].name for row in rows), error)
         return None
     of_rig = adjustment.model.selection, fit.covariance
-    part, seen = _rows(packed, rows), Weights(weights.corners[rows], weights.boundary[rows])
-    state = replace(_rows_of_state(adjustment.state, rows), values=fit.state.values)
+    part, seen = packed.some(rows), weights.some(rows)
+    state = replace(adjustment.state.some(rows), values=fit.state.values)
     corners, spots = [], []
     for known, asked in (halves, halves[::-1]):
         if np.any(known[rows]):
             corners.append(_predict_corners(part, seen, state, known[rows], asked[rows], of_rig)[0])
     lit = np.flatnonzero(seen.boundary.any(axis=1))
     if lit.size:
-        spots.append(
-            _predict_spots(
-                _rows(part, lit), Weights(seen.corners[lit], seen.boundary[lit]), _rows_of_state(state, lit), of_rig
-            )
-        )
+        spots.append(_predict_spots(part.some(lit), seen.some(lit), state.some(lit), of_rig))
     found = _pooled(corners)
     shift, name = _largest_shift(adjustment, fit)
     return Fold(tuple(views[row].name for row in rows), found.error_px, found.expected_px, _pooled(spots), shift, name)
@@ -323,19 +319,3 @@ def _judged(adjustment: Adjustment, halves: Predicted, folds: tuple[Fold, ...], 
     whole = "" if complete else " Without some of the views there is no calibration at all."
     sentence = f"{told}{'' if fits else ', so something in the views is not described'}. {shift}.{whole}"
     return HeldOut(fits and steady and complete, sentence, halves.error_px, halves.expected_px, halves, folds)
-
-
-def _rows(packed: Packed, rows: NDArray[np.intp]) -> Packed:
-    return replace(
-        packed,
-        corners=packed.corners[rows],
-        corner_sigma=packed.corner_sigma[rows],
-        corner_seen=packed.corner_seen[rows],
-        boundary=packed.boundary[rows],
-        boundary_sigma=packed.boundary_sigma[rows],
-        boundary_seen=packed.boundary_seen[rows],
-    )
-
-
-def _rows_of_state(state: State, rows: NDArray[np.intp]) -> State:
-    return replace(state, rotations=state.rotations[rows], translations=state.translations[rows])

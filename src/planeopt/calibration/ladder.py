@@ -18,7 +18,7 @@ from planeopt.calibration.adjustment import Adjustment, adjust, refit
 from planeopt.calibration.equations import AdjustmentError, Prior
 from planeopt.calibration.model import RUNGS, Model, Rung
 from planeopt.calibration.packed import Packed
-from planeopt.calibration.start import start_camera
+from planeopt.calibration.start import likely_camera
 from planeopt.rig import Camera
 
 _log = logging.getLogger(__name__)
@@ -170,8 +170,9 @@ def adjust_all(observations: Observations, model: Model, *, reject: bool = True)
     AdjustmentError
         If the observations do not determine the free parameters.
     """
-    prior = camera_prior(start_camera(Packed.of(observations)).camera)
-    return adjust(observations, replace(model, distortion=RUNGS[-1]), prior=prior, reject=reject)
+    near = likely_camera(Packed.of(observations))
+    full = replace(model, distortion=RUNGS[-1])
+    return adjust(observations, full, prior=camera_prior(near), start=near, reject=reject)
 
 
 def camera_prior(camera: Camera) -> Prior:

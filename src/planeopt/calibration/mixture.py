@@ -11,6 +11,7 @@ from scipy.stats import f as fisher
 from planeopt.calibration.adjustment import Adjustment, adjust
 from planeopt.calibration.equations import AdjustmentError, Task, descend
 from planeopt.calibration.model import FULL, Model
+from planeopt.calibration.noise import REJECT
 from planeopt.calibration.packed import Packed
 from planeopt.calibration.per_view import PerView, eliminated, linearised, weights_of
 from planeopt.errors import InputError
@@ -79,27 +80,23 @@ def mixture(adjustment: Adjustment) -> Mixture | None:
 
 def misfitting_views(adjustment: Adjustment) -> list[tuple[int, float]]:
     """Return views whose corners fit much worse than the others', with by how much: times the others' RMS."""
-    packed = Packed.of(adjustment.observations)
-    weights = weights_of(adjustment, packed)
-    everything = packed.corner_seen / (packed.corner_sigma * adjustment.noise.corners) ** 2
-    squares, counts = np.zeros(len(packed)), np.zeros(len(packed))
-    for row, (view, residual) in enumerate(
-        zip(adjustment.observations.views, adjustment.corner_residuals, strict=True)
-    ):
+    views = adjustment.observations.views
+    squares, counts = np.zeros(len(views)), np.zeros(len(views))
+    rows = zip(views, adjustment.corner_residuals, adjustment.corner_used, strict=True)
+    for row, (view, residual, used) in enumerate(rows):
+        square = np.sum(residual**2, axis=1) / (view.sigma * adjustment.noise.corners) ** 2
         # What was left out counts here, up to what a corner just within the rule would: a view is not well fitted
         # because its worst corners are gone.
-        weight = np.where(weights.corners[row, view.ids] > 0, weights.corners[row, view.ids], 0.0)
-        kept = np.minimum(np.sum(residual**2, axis=1) * everything[row, view.ids], 16.0)
-        squares[row] = float(np.sum(np.where(weight > 0, np.sum(residual**2, axis=1) * weight, kept)))
+        squares[row] = float(np.sum(np.where(used, square, np.minimum(square, REJECT**2))))
         counts[row] = max(2 * len(view) - 6, 1)
     found = []
-    for row in range(len(packed)):
-        others = np.arange(len(packed)) != row
+    for row in range(len(views)):
+        others = np.arange(len(views)) != row
         if not np.any(others):
             break
         ratio = (squares[row] / counts[row]) / (squares[others].sum() / counts[others].sum())
         chance = float(fisher.sf(ratio, counts[row], counts[others].sum()))
-        if chance * len(packed) < _CHANCE and ratio > _WORSE**2:
+        if chance * len(views) < _CHANCE and ratio > _WORSE**2:
             found.append((row, float(np.sqrt(ratio))))
     return sorted(found, key=lambda pair: -pair[1])
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planeopt.calibration.adjustment import Adjustment
+from planeopt.calibration.adjustment import Adjustment, weights_kept
 from planeopt.calibration.equations import Equations, Task, Weights, equations
 from planeopt.calibration.packed import Packed
 from planeopt.calibration.projection import Linear
@@ -42,12 +42,7 @@ def task_of(adjustment: Adjustment) -> Task:
 
 def weights_of(adjustment: Adjustment, packed: Packed) -> Weights:
     """Return the weights at the end of an adjustment: with the noise's factors, and 0 for what was left out."""
-    used = np.zeros_like(packed.corner_seen)
-    for row, (view, kept) in enumerate(zip(adjustment.observations.views, adjustment.corner_used, strict=True)):
-        used[row, view.ids] = kept
-    lit = packed.boundary_seen & adjustment.spot_used[:, None]
-    noise = adjustment.noise
-    return Weights(used / (packed.corner_sigma * noise.corners) ** 2, lit / (packed.boundary_sigma * noise.spots) ** 2)
+    return adjustment.noise.weights(weights_kept(adjustment, packed))
 
 
 def linearised(adjustment: Adjustment) -> tuple[Task, Weights, Equations]:

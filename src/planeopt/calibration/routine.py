@@ -200,13 +200,12 @@ def calibrate(
             raise AdjustmentError("No view shows the board.")
         if len(observations.views) <= _FEW_VIEWS and hopelessly_frontal(observations):
             raise AdjustmentError("All views are frontal.")
-        adjustment, ladder = _adjusted(observations, options)
+        adjustment, ladder, tests = _adjusted(observations, options)
     except AdjustmentError as error:
         _log.debug("no adjustment: %s", error)
         gates = judge_unadjusted(observations, images, reason=str(error))
         status, message = verdict(gates)
         return Calibration(observations, images, options, seed, None, (), {}, gates, None, None, (), status, message)
-    tests = compare_terms(adjustment)
     tell("adjusting", 1, 1)
     tell("judging", 0, 1)
     gates = judge(adjustment, images, tests=tests, expect=options.expect)
@@ -259,8 +258,7 @@ def _copies(views: tuple[View, ...]) -> dict[str, str]:
 
 def _evened(observations: Observations) -> Observations:
     """Give all corners the root mean square of the sigmas."""
-    sigmas = np.concatenate([np.empty(0), *(view.sigma for view in observations.views)])
-    even = float(np.sqrt(np.mean(sigmas**2))) if sigmas.size else 1.0
+    even = observations.corner_sigma
     views = tuple(replace(view, sigma=np.full(len(view), even)) for view in observations.views)
     return replace(observations, views=views)
 
@@ -275,21 +273,22 @@ def _no_pose(view: View, board: Board) -> str:
     return ""
 
 
-def _adjusted(observations: Observations, options: Options) -> tuple[Adjustment, tuple[Tested, ...]]:
+def _adjusted(observations: Observations, options: Options) -> tuple[Adjustment, tuple[Tested, ...], dict[str, Tested]]:
+    """Return the adjustment, the rungs of its ladder, and the tests of its terms."""
     spots = sum(view.spot is not None for view in observations.views)
     beam: BeamModel = options.beam if observations.spot != "none" and spots else "none"
     focal: Focal = "separate" if options.focal == "separate" else "shared"
     model = Model(focal=focal, warp=options.warp, beam=beam)
     rung = None if options.distortion == "auto" else options.distortion
     adjustment, ladder = climb(observations, model, rung, reject=options.reject)
-    if options.focal == "auto":
-        test = compare_terms(adjustment, only=("aspect",)).get("aspect")
-        if test is not None and test.p_value < _SQUARE_PIXELS:
-            separate = replace(adjustment.model, focal="separate")
-            adjustment = adjust(
-                observations, separate, prior=adjustment.prior, start=adjustment.state, reject=options.reject
-            )
-    return adjustment, ladder
+    tests = compare_terms(adjustment)
+    if options.focal == "auto" and "aspect" in tests and tests["aspect"].p_value < _SQUARE_PIXELS:
+        separate = replace(adjustment.model, focal="separate")
+        adjustment = adjust(
+            observations, separate, prior=adjustment.prior, start=adjustment.state, reject=options.reject
+        )
+        tests = compare_terms(adjustment)
+    return adjustment, ladder, tests
 
 
 def _cost(adjustment: Adjustment) -> tuple[PoseCost, ...]:

@@ -24,11 +24,12 @@ LEAST_CORNERS = 6
 
 _FOCAL_LADDER = np.geomspace(0.35, 30.0, 19)  # of the image's larger side: from a wide angle to a long lens
 _LADDER_VIEWS = 12
+_REST = len(FULL) - 9  # values that are not the camera's
 _PAIRS = 60  # views from which all pairs are taken: enough for a median, few enough for any session
 
 
-def start_camera(packed: Packed) -> State:
-    """Return a camera without distortion, its principal point in the middle, and the poses that go with it.
+def likely_camera(packed: Packed) -> Camera:
+    """Return a camera without distortion, its principal point in the middle, near the one that took the views.
 
     The focal length is the one of a geometric ladder at which OpenCV's poses of a dozen views fit best: this has no
     degenerate case, unlike the closed form from homographies.
@@ -37,30 +38,31 @@ def start_camera(packed: Packed) -> State:
     ------
     InputError
         If a view has too few corners for a pose.
+    AdjustmentError
+        If the boards are behind the camera whatever its focal length.
     """
     width, height = packed.image_size
     some = np.unique(np.linspace(0, len(packed) - 1, _LADDER_VIEWS).round().astype(int))
-    best: tuple[float, float] | None = None
+    best: tuple[float, Camera] | None = None
     for focal in _FOCAL_LADDER * max(width, height):
         camera = Camera(packed.image_size, focal, focal, (width - 1) / 2, (height - 1) / 2, (0.0, 0.0, 0.0, 0.0, 0.0))
         error = sum(min((misfit for misfit, _ in _poses(packed, row, camera)), default=np.inf) for row in some)
         if best is None or error < best[0]:
-            best = error, float(focal)
+            best = error, camera
     if best is None or not np.isfinite(best[0]):
         raise AdjustmentError("No focal length puts the boards before the camera.")
-    camera = Camera(packed.image_size, best[1], best[1], (width - 1) / 2, (height - 1) / 2, (0.0, 0.0, 0.0, 0.0, 0.0))
-    return pose_views(packed, camera, np.zeros(len(FULL) - 9))
+    return best[1]
 
 
-def pose_views(packed: Packed, camera: Camera, rest: Array) -> State:
+def pose_views(packed: Packed, camera: Camera, rest: Array | None = None) -> State:
     """Return the state of a camera whose boards stand where OpenCV's plane pose puts them.
 
     Parameters
     ----------
     packed : Packed
     camera : Camera
-    rest : (8,) array
-        The other values of `FULL`: warp and beam.
+    rest : (8,) array, optional
+        The other values of `FULL`: warp and beam; zero unless given.
 
     Raises
     ------
@@ -70,7 +72,9 @@ def pose_views(packed: Packed, camera: Camera, rest: Array) -> State:
         If they are nearly in line.
     """
     poses = [_best(packed, row, camera) for row in range(len(packed))]
-    values = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion, *rest])
+    values = np.array(
+        [camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion, *(np.zeros(_REST) if rest is None else rest)]
+    )
     rotations = np.stack([rotation for rotation, _ in poses]) if poses else np.empty((0, 3, 3))
     shifts = np.stack([shift for _, shift in poses]) if poses else np.empty((0, 3))
     return State(values, rotations, shifts, packed.image_size)

@@ -83,6 +83,10 @@ class State:
             raise InputError("the beam does not point forward")
         return np.array([x, y, np.sqrt(room)])
 
+    def some(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> "State":
+        """Return the state with some of its poses."""
+        return replace(self, rotations=self.rotations[rows], translations=self.translations[rows])
+
     def moved(self, shared: Array, turns: Array, shifts: Array) -> "State":
         """Return the state after a step.
 

@@ -8,13 +8,13 @@ from typing import Literal
 
 from planeopt import __version__
 from planeopt.errors import InputError
-from planeopt.formats.documents import read_text
 from planeopt.formats.imported import Imported
 from planeopt.formats.kalibr import kalibr_text, largest_move, without_k3
 from planeopt.formats.mrcal import mrcal_text
 from planeopt.formats.opencv import from_opencv, opencv_text
 from planeopt.formats.ros import from_ros, ros_text
 from planeopt.rig import Camera, Rig
+from planeopt.toml_files import read_text
 
 ExportFormat = Literal["ros", "opencv", "kalibr", "mrcal"]
 """ROS's camera_info YAML, OpenCV's FileStorage (YAML 1.0), kalibr's camchain, mrcal's cameramodel."""
@@ -128,7 +128,7 @@ def import_camera(
     if source == "ros":
         if image_size is not None:
             raise InputError("ROS's file holds the image size itself: leave --image-size out")
-        return from_ros(read_text(path), str(path), pixel_pitch_mm)
+        return from_ros(read_text(path, "camera's"), str(path), pixel_pitch_mm)
     if source == "opencv":
-        return from_opencv(read_text(path), str(path), pixel_pitch_mm, image_size)
+        return from_opencv(read_text(path, "camera's"), str(path), pixel_pitch_mm, image_size)
     raise InputError(f"the format {source!r} is not read: it must be ros or opencv")

@@ -6,9 +6,7 @@ Leaves stay text because what a number, a truth value or a text is depends on th
 OpenCV's own reader is not used: on files that are damaged it can end the whole process (4.10 and 5.0 alike).
 """
 
-import os
 import re
-from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -39,27 +37,6 @@ class _Loader(yaml.BaseLoader):
                 )
             seen.add(key)
         return super().construct_mapping(node, deep)
-
-
-def read_text(path: str | os.PathLike[str]) -> str:
-    """Return what a text file holds.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, unreadable or not text.
-    """
-    file = Path(path)
-    try:
-        return file.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError as error:
-        raise InputError(f"{file}: there is no such file") from error
-    except IsADirectoryError as error:
-        raise InputError(f"{file}: this is a folder; name the camera's file in it") from error
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{file}: not a text file in UTF-8 (byte {error.start})") from error
 
 
 def parse_yaml(text: str, source: str) -> Document:

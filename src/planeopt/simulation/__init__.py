@@ -9,7 +9,6 @@ from planeopt.simulation.board_faults import (
     one_depth_session,
     short_session,
     spotless_session,
-    stretched,
     wrong_scale_session,
 )
 from planeopt.simulation.board_files import write_session
@@ -87,7 +86,6 @@ __all__ = [
     "shot_poses",
     "simulated_session",
     "spotless_session",
-    "stretched",
     "tilted",
     "true_record",
     "write_session",

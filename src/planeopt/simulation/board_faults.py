@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from planeopt.board import Board, Observations
+from planeopt.board import Observations
 from planeopt.rig import Camera
 from planeopt.simulation.board_random import Shooting, random_session
 from planeopt.simulation.board_sessions import SimulatedSession, simulated_session
@@ -64,16 +64,7 @@ def bowed_session(seed: int, bow_mm: float = 0.5) -> SimulatedSession:
 def wrong_scale_session(seed: int, x: float = 1.02, y: float = 1.02) -> SimulatedSession:
     """Return a session with its board stated to be longer than it is by these factors along x and along y."""
     session = random_session(seed, shooting=Shooting(_VIEWS), warp=_FLAT)
-    return replace(session, observations=replace(session.observations, board=stretched(session.board, x, y)))
-
-
-def stretched(board: Board, x: float, y: float) -> Board:
-    """Return a board whose lengths are longer by these factors."""
-    window = board.window_mm
-    if window is not None:
-        window = (window[0] * x, window[1] * y, window[2] * x, window[3] * y)
-    sides = (board.square_mm[0] * x, board.square_mm[1] * y)
-    return replace(board, square_mm=sides, marker_mm=board.marker_mm * min(x, y), window_mm=window)
+    return replace(session, observations=replace(session.observations, board=session.board.stretched(x, y)))
 
 
 def mirrored_session(seed: int) -> SimulatedSession:
