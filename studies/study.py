@@ -24,6 +24,18 @@ Row = TypeVar("Row")
 _SAVED: dict[Any, Any] = {"svg.hashsalt": "planeopt", "svg.fonttype": "path"}
 
 
+HEADLINE = "headline"
+"""The table of the numbers that a study's headline says."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number of a headline, by its name; a row of `headline.csv`."""
+
+    name: str
+    value: float
+
+
 @dataclass(frozen=True)
 class Result:
     """What a study found.
@@ -38,12 +50,16 @@ class Result:
         The answer in words, in Markdown; every number in both is made from the tables.
     figures : mapping of str to Figure
         A PNG each.
+    numbers : mapping of str to number
+        Every number that the headline says, by a name that tells what it is and in which unit: `headline.csv`, by which
+        a reader can check the index.
     """
 
     tables: Mapping[str, Sequence["DataclassInstance"]]
     headline: str
     finding: str
     figures: Mapping[str, Figure] = field(default_factory=dict)
+    numbers: Mapping[str, float] = field(default_factory=dict)
 
 
 class Study(Protocol):
@@ -68,14 +84,20 @@ def write(result: Result, folder: Path) -> None:
     """
     folder.mkdir(parents=True, exist_ok=True)
     for name, rows in result.tables.items():
-        with (folder / f"{name}.csv").open("w", encoding="utf-8", newline="") as stream:
-            writer = csv.writer(stream, lineterminator="\n")
-            writer.writerow(column.name for column in dataclasses.fields(rows[0]))
-            writer.writerows([cell(value) for value in _values(row)] for row in rows)
+        _write_table(folder / f"{name}.csv", rows)
+    if result.numbers:
+        _write_table(folder / f"{HEADLINE}.csv", [Number(name, value) for name, value in result.numbers.items()])
     with mpl.rc_context(_SAVED):
         for name, figure in result.figures.items():
             figure.savefig(folder / f"{name}.png", dpi=130, metadata={"Software": None})
     (folder / "finding.md").write_text(result.finding.rstrip() + "\n", encoding="utf-8")
+
+
+def _write_table(path: Path, rows: Sequence["DataclassInstance"]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(column.name for column in dataclasses.fields(rows[0]))
+        writer.writerows([cell(value) for value in _values(row)] for row in rows)
 
 
 def put_headline(index: Path, name: str, headline: str) -> None:
