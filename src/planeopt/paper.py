@@ -82,6 +82,14 @@ def printed_a_coefficients(m: eq.Namespace, v: eq.PaperVariables, k: eq.Setup) -
     return v.z_L * cb * ca - k.e_x * sa, v.z_L * sb * ca + k.e_y * sa, *eq.a_coefficients(m, v, k)[2:]
 
 
+def ellipse_of(a: Sequence[Any], v: eq.PaperVariables, k: eq.Setup) -> Array:
+    """``B`` (5,) from cos^2 + sin^2 = 1 with given a_1 ... a_9: (6) step by step, so that the printed a_i can enter."""
+    weights = (v.R**2, k.r**2, -(v.R**2) * k.r**2)
+    matrix = sum(w * np.outer(line, line) for w, line in zip(weights, (a[0:3], a[3:6], a[6:9]), strict=True))
+    c = np.asarray(matrix)
+    return np.array([2 * c[0, 1], c[1, 1], 2 * c[0, 2], 2 * c[1, 2], c[2, 2]]) / c[0, 0]
+
+
 def printed_d5(m: eq.Namespace, v: eq.PaperVariables, k: eq.Setup) -> Any:
     """d_5 of (9) with ``e_x^2 e_y sin(2 beta)`` in its cross term as printed, the semi-axes right; mixed units."""
     d = eq.laser_conic(m, v, k)
@@ -153,14 +161,6 @@ _EXACT = 100 * float(np.finfo(float).eps)
 _OFF_THE_BEAM = TRUTH._replace(R=1.25 * TRUTH.R)
 
 
-def _ellipse_of(a: Sequence[Any], v: eq.PaperVariables, k: eq.Setup) -> Array:
-    """``B`` (5,) from cos^2 + sin^2 = 1 with given a_1 ... a_9: (6) step by step, so that the printed a_i can enter."""
-    weights = (v.R**2, k.r**2, -(v.R**2) * k.r**2)
-    matrix = sum(w * np.outer(line, line) for w, line in zip(weights, (a[0:3], a[3:6], a[6:9]), strict=True))
-    c = np.asarray(matrix)
-    return np.array([2 * c[0, 1], c[1, 1], 2 * c[0, 2], 2 * c[1, 2], c[2, 2]]) / c[0, 0]
-
-
 def _from_table_2(quantity: str, i: int, right: Array, printed: Array) -> Evidence:
     return Evidence(quantity, "1", TABLE_2[i], ROUNDING, right[i], printed[i])
 
@@ -170,7 +170,7 @@ def _semi_axes() -> tuple[Evidence, ...]:
         return float(np.max(np.abs(np.stack(eq.image_point(np, SETUP, *points), axis=1) - table_1())))
 
     printed_v, printed_k = swapped_axes(TRUTH, SETUP)
-    printed = _ellipse_of(eq.a_coefficients(np, printed_v, printed_k), printed_v, printed_k)
+    printed = ellipse_of(eq.a_coefficients(np, printed_v, printed_k), printed_v, printed_k)
     right_d, printed_d = eq.laser_conic(np, TRUTH, SETUP), printed_laser_conic(np, TRUTH, SETUP)
     return (
         Evidence(
@@ -197,16 +197,16 @@ def _semi_axes() -> tuple[Evidence, ...]:
 def _a_coefficients() -> tuple[Evidence, ...]:
     right, printed = eq.a_coefficients(np, TRUTH, SETUP), printed_a_coefficients(np, TRUTH, SETUP)
     both_v, both_k = swapped_axes(TRUTH, SETUP)
-    both = _ellipse_of(printed_a_coefficients(np, both_v, both_k), both_v, both_k)
+    both = ellipse_of(printed_a_coefficients(np, both_v, both_k), both_v, both_k)
     x, y = exact_points().T
 
     def error_of_cosine(a: tuple[Any, ...]) -> float:
         cosine = (a[0] * x + a[1] * y + a[2]) / (SETUP.r * (a[6] * x + a[7] * y + a[8]))
         return float(np.max(np.abs(cosine - np.cos(TABLE_1_ANGLES))))
 
-    ellipse = _ellipse_of(right, TRUTH, SETUP)
+    ellipse = ellipse_of(right, TRUTH, SETUP)
     return (
-        _from_table_2("Table 2: B_1 from (6), semi-axes right", 0, ellipse, _ellipse_of(printed, TRUTH, SETUP)),
+        _from_table_2("Table 2: B_1 from (6), semi-axes right", 0, ellipse, ellipse_of(printed, TRUTH, SETUP)),
         _from_table_2("Table 2: B_1 from (6), semi-axes as printed too", 0, ellipse, both),
         Evidence(
             "(5) solved for cos(theta): largest error",
