@@ -34,6 +34,7 @@ PAGE_WIDTH = 10.0  # inches: a figure as wide as the page
 _PAGE_SIZE = 9.0  # pt, at the page's full width
 _PAGE_DPI = 170  # sharp on paper at the width of a page, and twice what a column of the screen has
 _COLOURS = 256  # of a PNG's palette
+_COMPRESSION = 6  # of zlib's 9: ten times as fast, and 5 % larger
 _BEYOND_FONT = 0x590
 
 
@@ -79,7 +80,8 @@ def picture(figure: Figure, words: str) -> Picture:
     drawn = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
     file = BytesIO()
     # Drawings have few colours, images few greys.
-    drawn.quantize(_COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(file, "png", optimize=True)
+    palette = drawn.quantize(_COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    palette.save(file, "png", compress_level=_COMPRESSION)
     width, height = (float(length) for length in figure.get_size_inches())
     return Picture(file.getvalue(), width, height, words)
 
