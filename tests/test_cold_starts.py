@@ -7,9 +7,21 @@ import pytest
 
 from cases import WORKED, WORKED_SETUP, Array, boundary, circle, random_case, slopes
 from planeopt import equations as eq
+from planeopt import paper
 from planeopt.estimation import solve_problem
-from planeopt.formulations import Constrained, Problem
-from planeopt.solution import Flag, Solution
+from planeopt.formulations import (
+    Constrained,
+    EitherSide,
+    Elastic,
+    Formulation,
+    LeastSquares,
+    Penalty,
+    Problem,
+    Reprojection,
+    Start,
+)
+from planeopt.nlp import Nlp
+from planeopt.solution import Flag, Solution, Status
 from planeopt.solvers import Ipopt
 from planeopt.spot import Spot
 
@@ -92,3 +104,50 @@ def test_the_second_plane_is_never_the_answer(variables: str) -> None:
     assert solution.ok
     assert solution.pose is not None
     assert abs(solution.pose.z_L - WORKED.z_L) < 1e-6
+
+
+SEARCHED = (Constrained(), Constrained("paper"), LeastSquares(), Elastic(), Reprojection(), Penalty())
+
+
+def worked_problem() -> Problem:
+    return Problem.from_points(paper.exact_points(), WORKED_SETUP, 1e-4)
+
+
+@pytest.mark.parametrize("formulation", SEARCHED, ids=lambda formulation: formulation.name)
+def test_either_side_leaves_out_one_inequality_and_nothing_else(formulation: Formulation) -> None:
+    problem = worked_problem()
+    start = Start(25.0, (80.0, 0.3, 0.2), 0.1)
+    whole, free = formulation.build(problem, start), EitherSide(formulation).build(problem, start)
+    assert isinstance(whole, Nlp)
+    assert isinstance(free, Nlp)
+    kept = [row.equation not in (eq.lit_side, eq.lit_side_in_slopes) for row in whole.model.rows]
+    assert free.model.rows == tuple(row for row, keep in zip(whole.model.rows, kept, strict=True) if keep)
+    assert len(free.model.rows) == len(whole.model.rows) - 1
+    np.testing.assert_array_equal(free.row_scale, whole.row_scale[kept])
+    for name in ("start", "lower", "upper", "x_scale", "parameters"):
+        np.testing.assert_array_equal(getattr(free, name), getattr(whole, name))
+    (f, g), (f_free, g_free) = (nlp.model.values(nlp.start, nlp.parameters) for nlp in (whole, free))
+    assert float(f) == float(f_free)
+    np.testing.assert_array_equal(np.asarray(g_free).ravel(), np.asarray(g).ravel()[kept])
+    assert whole.either_side().model is whole.either_side().model, "compiled again for every case"
+
+
+@pytest.mark.parametrize("variables", ["slopes", "paper"])
+def test_without_the_inequality_the_second_plane_is_found_and_refused(variables: str) -> None:
+    problem = worked_problem()
+    formulation = EitherSide(Constrained("slopes" if variables == "slopes" else "paper"))
+    behind = solve_problem(problem).other_plane
+    assert behind is not None
+    assert "lit side is not visible" in behind.reason
+    solution = solve_problem(problem, formulation=formulation, start=behind.pose, restart=False)
+    assert solution.status is Status.UNSEEN
+    assert solution.status.record == "refused"
+    assert solution.pose is not None
+    assert solution.pose.z_L == pytest.approx(behind.pose.z_L, rel=1e-9)
+    # The roles are changed: the plane that is not the answer is the one that can be seen.
+    assert solution.other_plane is not None
+    assert solution.other_plane.pose.z_L == pytest.approx(WORKED.z_L, rel=1e-9)
+    assert "can be seen" in solution.other_plane.reason
+    again = solve_problem(problem, formulation=formulation, start=behind.pose)
+    assert again.ok
+    assert Flag.RESTARTED in again.flags

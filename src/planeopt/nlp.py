@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse
 from numpy.typing import NDArray
 
-from planeopt.equations import Equation, eq29
+from planeopt.equations import Equation, eq29, lit_side, lit_side_in_slopes
 
 Array = NDArray[np.float64]
 Symbol = Any
@@ -114,6 +114,17 @@ class Model:
             self.data,
         )
 
+    @cached_property
+    def either_side(self) -> "Model":
+        """The same programme without the inequality ``c > 0``, in whichever unknowns it is written."""
+        kept = [i for i, row in enumerate(self.rows) if row.equation not in (lit_side, lit_side_in_slopes)]
+        return replace(
+            self,
+            name=f"{self.name}_either_side",
+            constraints=self.constraints[kept],
+            rows=tuple(self.rows[i] for i in kept),
+        )
+
     @property
     def equalities(self) -> NDArray[np.bool_]:
         return np.array([row.equality for row in self.rows], dtype=bool)
@@ -164,6 +175,12 @@ class Nlp:
             row_scale=self.row_scale[keep],
             decoupling=None,
         )
+
+    def either_side(self) -> "Nlp":
+        """The same case without the inequality ``c > 0``: which side of the plane is lit is left open."""
+        model = self.model.either_side
+        kept = [row in model.rows for row in self.model.rows]
+        return replace(self, model=model, row_scale=self.row_scale[kept])
 
     @property
     def row_bounds(self) -> tuple[Array, Array]:

@@ -1,7 +1,7 @@
 """What a solve returns: a status that is a sentence, the plane and its covariance, the evidence, the path."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import Enum
 from typing import Literal
 
@@ -34,7 +34,12 @@ class Status(Enum):
         "The search ended at a local minimum: the plane is farther from the one that the image favours than its own "
         "covariance allows."
     )
+    UNSEEN = (
+        "The search ended on a plane whose lit side faces away from the camera (c < 0): it may have the same image, "
+        "but it cannot be seen."
+    )
     NO_COVARIANCE = "The plane was found, but no covariance can be given."
+    UNSUITED = "The solver is not made for such a programme."
 
     @property
     def record(self) -> Literal["ok", "degraded", "refused"]:
@@ -185,22 +190,56 @@ class Trace:
 
 @dataclass(frozen=True)
 class Effort:
-    """What a solve cost: counts, and seconds for building (nothing when cached) and for solving."""
+    """What a solve cost. Counted is what the search asks for, not what checks its answer afterwards.
+
+    Attributes
+    ----------
+    iterations : int
+        Newton steps of the final polish included.
+    evaluations : int
+        Points at which the objective and the rows were evaluated; both at one point are one.
+    first_derivatives, second_derivatives : int
+        Points at which the gradient and the Jacobian, and at which the Hessian of the Lagrangian were evaluated.
+    build_s : float
+        Seconds for making the programme's functions and its solver; nothing to speak of where an earlier solve made
+        them.
+    solve_s : float
+        Seconds for the search, its polish and the check of the optimality conditions; of a direct answer, for that.
+    """
 
     iterations: int = 0
     evaluations: int = 0
-    derivative_evaluations: int = 0
+    first_derivatives: int = 0
+    second_derivatives: int = 0
     build_s: float = 0.0
     solve_s: float = 0.0
 
+    @property
+    def derivative_evaluations(self) -> int:
+        """Of first and of second derivatives."""
+        return self.first_derivatives + self.second_derivatives
+
     def __add__(self, more: "Effort") -> "Effort":
-        return Effort(
-            self.iterations + more.iterations,
-            self.evaluations + more.evaluations,
-            self.derivative_evaluations + more.derivative_evaluations,
-            self.build_s + more.build_s,
-            self.solve_s + more.solve_s,
-        )
+        return Effort(*(getattr(self, field.name) + getattr(more, field.name) for field in fields(Effort)))
+
+
+@dataclass(frozen=True)
+class End:
+    """Where a search ended, in its own unknowns, whether or not that is an answer.
+
+    Attributes
+    ----------
+    R : float
+        mm; the beam's where the programme has no such unknown, otherwise the unknown, which only a hard laser block
+        keeps on the beam.
+    z_L, p, q : float
+        Of the laser-parallel frame, as in the equations.
+    """
+
+    R: float
+    z_L: float
+    p: float
+    q: float
 
 
 @dataclass(frozen=True)
@@ -264,6 +303,8 @@ class Solution:
     other_plane : OtherPlane or None
     residuals : tuple of Residual
         All ten equations at the solution.
+    end : End or None
+        Where the search stopped, also where no plane came of it; None where nothing was searched or found.
     identifiability, kkt, trace, effort
         Evidence: see their classes.
     """
@@ -285,6 +326,7 @@ class Solution:
     rig_test: RigTest | None = None
     other_plane: OtherPlane | None = None
     residuals: tuple[Residual, ...] = ()
+    end: End | None = None
     identifiability: Identifiability | None = None
     kkt: KktCheck | None = None
     trace: Trace | None = None

@@ -176,12 +176,12 @@ def second_plane(problem: Problem, plane: Array) -> OtherPlane | None:
     if not np.isfinite(other).all() or np.max(np.abs(other[1:])) > _EDGE_ON:
         return None
     e_x, e_y, r = problem.setup.e_x, problem.setup.e_y, problem.setup.r
-    outside = e_x**2 + e_y**2 > r**2
-    reason = (
-        "the camera would be behind it while the laser is before it: its lit side is not visible (c < 0)"
-        if outside
-        else "its spot would be behind the camera (c < 0)"
-    )
+    if eq.lit_side_in_slopes(np, slope_variables(other, problem.setup), problem.setup) > 0:
+        reason = "it is the plane that can be seen; the search was left free to end on the one that cannot (c < 0)"
+    elif e_x**2 + e_y**2 > r**2:
+        reason = "the camera would be behind it while the laser is before it: its lit side is not visible (c < 0)"
+    else:
+        reason = "its spot would be behind the camera (c < 0)"
     pose, in_camera = pose_and_plane(problem, other)
     return OtherPlane(pose, in_camera, reason)
 

@@ -14,6 +14,7 @@ from planeopt.estimation.rig_part import sensitivity
 from planeopt.formulations import (
     Constrained,
     DirectAnswer,
+    EitherSide,
     Elastic,
     Formulation,
     Penalty,
@@ -24,7 +25,7 @@ from planeopt.formulations import (
 )
 from planeopt.formulations.snooping import explained_without
 from planeopt.rig import Rig
-from planeopt.solution import RESOLUTION, Flag, Identifiability, KktCheck, Solution, SolveError, Status
+from planeopt.solution import FEASIBLE, RESOLUTION, Flag, Identifiability, KktCheck, Solution, SolveError, Status
 from planeopt.solvers import Found, Ipopt, Solver, Swift
 from planeopt.solvers.kkt import NoCovariance, plane_covariance
 from planeopt.spot import Spot
@@ -92,7 +93,8 @@ def solve_problem(
     """As `solve`, from a `Problem`: points or an ellipse on the laser-parallel image plane, in mm."""
     formulation = Constrained() if formulation is None else formulation
     if solver is None:
-        solver = Swift() if isinstance(formulation, Penalty) else Ipopt()
+        searched = formulation.formulation if isinstance(formulation, EitherSide) else formulation
+        solver = Swift() if isinstance(searched, Penalty) else Ipopt()
     first = starts.from_closed_form(problem) if start is None else starts.given(start, problem)
     solution = _attempt(problem, formulation, solver, first)
     if restart and start is not None and _failed(solution):
@@ -116,6 +118,7 @@ def _failed(solution: Solution) -> bool:
         Status.NO_COVARIANCE,
         Status.UNIDENTIFIABLE,
         Status.LOCAL_MINIMUM,
+        Status.UNSEEN,
     )
 
 
@@ -217,6 +220,9 @@ def _judged(solution: Solution, problem: Problem, plane: Array, covariance: Arra
         other_plane=evidence.second_plane(problem, plane),
         residuals=evidence.residuals(problem, plane),
     )
+    v = evidence.slope_variables(plane, problem.setup)
+    if eq.lit_side_in_slopes(np, v, problem.setup) < _UNSEEN * problem.setup.r:
+        return _refused(judged, Status.UNSEEN, Status.UNSEEN.value)
     if not (isinstance(covariance, NoCovariance) or fit.improbable):
         excess = evidence.excess(problem, plane, covariance)
         if excess > evidence.EXCESS:
@@ -226,6 +232,10 @@ def _judged(solution: Solution, problem: Problem, plane: Array, covariance: Arra
     return replace(
         judged, status=status, message=message, flags=(*judged.flags, *_reservations(problem, judged, plane, fit))
     )
+
+
+_UNSEEN = -FEASIBLE
+"""Intercept, in radii of the beam, that no solution with the inequality ``c > 0`` can have."""
 
 
 def _verdict(

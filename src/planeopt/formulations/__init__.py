@@ -3,6 +3,7 @@
 from planeopt.formulations.base import DirectAnswer, Formulation, Refusal, Start
 from planeopt.formulations.constrained import Constrained
 from planeopt.formulations.direct import ClosedForm
+from planeopt.formulations.either_side import EitherSide
 from planeopt.formulations.elastic import Elastic
 from planeopt.formulations.identifiability import identify
 from planeopt.formulations.problem import Problem
@@ -14,6 +15,7 @@ __all__ = [
     "ClosedForm",
     "Constrained",
     "DirectAnswer",
+    "EitherSide",
     "Elastic",
     "Formulation",
     "LeastSquares",
