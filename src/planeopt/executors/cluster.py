@@ -1,0 +1,216 @@
+"""A Dask cluster as an executor: one that runs somewhere, or one of this machine for the time being."""
+
+import logging
+import pickle
+import platform
+import sys
+import threading
+import warnings
+from asyncio import CancelledError
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, Executor, Future
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from importlib import metadata
+from typing import TYPE_CHECKING, Any, cast
+
+from planeopt.errors import InputError
+from planeopt.executors.worker import ATTEMPTS, WorkerLost, answer, outcome
+
+if TYPE_CHECKING:
+    from distributed import Client
+    from distributed import Future as DaskFuture
+
+LOCAL = "local"
+"""The address that means a cluster of this machine, started for the run and ended with it."""
+
+CONNECT_S = 5.0
+"""How long to wait for a scheduler to answer, and for its first worker, in seconds."""
+
+NUMERICAL = ("planeopt", "numpy", "scipy", "casadi", "opencv-contrib-python-headless")
+"""What has to be of the same version everywhere, so that a cluster gives the numbers that one process gives."""
+
+_one_at_a_time = threading.Lock()
+"""Of a worker process: its libraries were not made for two items at once, however many threads the worker has."""
+
+
+@contextmanager
+def cluster(address: str, jobs: int = 1) -> Iterator[Executor]:
+    """Open a Dask cluster as an executor.
+
+    An item whose worker died is done again by another, as often as the scheduler's `allowed-failures` says; then the
+    item's future raises `WorkerLost`. Workers read files themselves: the paths must mean the same there.
+
+    Parameters
+    ----------
+    address : str
+        Of a scheduler, ``tcp://HOST:PORT``; or `LOCAL`: a cluster of this machine, with no dashboard.
+    jobs : int
+        Workers of a local cluster, each a process with one thread.
+
+    Raises
+    ------
+    InputError
+        If Dask is not installed, nobody answers at the address, the cluster has no workers, or they have other
+        versions than this process.
+    ValueError
+        If `jobs` is below 1.
+    """
+    if jobs < 1:
+        raise ValueError(f"jobs must be at least 1, not {jobs}")
+    distributed = _distributed()
+    with ExitStack() as opened:
+        if address == LOCAL:
+            where = opened.enter_context(
+                distributed.LocalCluster(
+                    n_workers=jobs,
+                    threads_per_worker=1,
+                    processes=True,
+                    memory_limit=0,
+                    silence_logs=logging.CRITICAL,
+                    dashboard_address=None,
+                    # Without a dashboard the scheduler still speaks HTTP: at any free port, to this machine alone.
+                    scheduler_kwargs={"dashboard_address": "127.0.0.1:0", "allowed_failures": ATTEMPTS - 1},
+                    preload=["planeopt.executors.dask_worker"],
+                )
+            )
+        else:
+            where = address
+        client = opened.enter_context(_client(distributed, where, address))
+        if address != LOCAL:
+            _check_workers(client, address)
+        yield DaskExecutor(client, address)
+
+
+def _distributed() -> Any:
+    """Import Dask's distributed, its log left to `logging`: nobody asked for it on standard error."""
+    try:
+        import dask.config
+    except ImportError as error:
+        raise InputError('a Dask cluster needs Dask: pip install "planeopt[dask]"') from error
+    if "distributed" not in sys.modules:
+        # An empty change to what logging does, in place of the handlers that distributed would install.
+        dask.config.set({"logging": {"version": 1, "incremental": True}})
+        logging.getLogger("distributed").addHandler(logging.NullHandler())
+    try:
+        import distributed
+    except ImportError as error:
+        raise InputError('a Dask cluster needs distributed: pip install "planeopt[dask]"') from error
+    return distributed
+
+
+def _client(distributed: Any, where: Any, address: str) -> "Client":
+    try:
+        return distributed.Client(where, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise InputError(
+            f"--dask {address}: no Dask scheduler answers there; start one with `dask scheduler`, or use --dask {LOCAL}"
+        ) from error
+
+
+def _check_workers(client: "Client", address: str) -> None:
+    """Refuse a cluster without workers, or with other versions than here."""
+    try:
+        client.wait_for_workers(1, timeout=CONNECT_S)
+    except TimeoutError as error:
+        raise InputError(
+            f"--dask {address}: the cluster has no workers; start some with `dask worker {address} --nthreads 1`"
+        ) from error
+    here = versions()
+    found: dict[str, Any] = cast(dict[str, Any], client.run(versions, on_error="return"))
+    for worker, there in found.items():
+        if isinstance(there, Exception):
+            raise InputError(
+                f"--dask {address}: the worker {worker} cannot import planeopt ({there}); install planeopt "
+                f"{here['planeopt']} where it runs"
+            )
+        other = [
+            f"{name} {there.get(name)} for {version}" for name, version in here.items() if there.get(name) != version
+        ]
+        if other:
+            raise InputError(
+                f"--dask {address}: the worker {worker} has {', '.join(other)} here; the same numbers need the same "
+                "versions"
+            )
+
+
+def versions() -> dict[str, str]:
+    """Return the versions, in this process, of what the numbers depend on."""
+    python = ".".join(platform.python_version_tuple()[:2])
+    return {"Python": python} | {name: _version(name) for name in NUMERICAL}
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "none"
+
+
+class DaskExecutor(Executor):
+    """An executor over a Dask client, which it leaves open.
+
+    A function is sent to the cluster once, and again only when another one was sent between.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    address : str
+        How the user named the cluster.
+    """
+
+    def __init__(self, client: "Client", address: str):
+        self._client = client
+        self._address = address
+        self._function: Callable[..., Any] | None = None
+        self._sent: Any = None
+
+    @property
+    def workers(self) -> int:
+        """How many workers the cluster has now."""
+        return len(cast(dict[str, int], self._client.ncores()))
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Send a call to the cluster; see `concurrent.futures.Executor`."""
+        if fn is not self._function:
+            # The result of a task, unlike data that was scattered, is made again where a worker that had it dies.
+            self._sent = self._client.submit(pickle.loads, pickle.dumps(fn), pure=False)
+            self._function = fn
+        there = self._client.submit(_answer_alone, self._sent, pickle.dumps((args, kwargs)), pure=False)
+        here: Future[Any] = Future()
+        here.add_done_callback(lambda future: there.cancel() if future.cancelled() else None)
+        there.add_done_callback(partial(_hand_over, here=here, address=self._address))
+        return here
+
+
+def _hand_over(there: "DaskFuture", here: Future[Any], address: str) -> None:
+    """Give the outcome of a task to the future that its user has, unless that was cancelled."""
+    if not here.set_running_or_notify_cancel():
+        return
+    from distributed import KilledWorker
+
+    try:
+        told = there.result()
+    except KilledWorker as error:
+        last = error.last_worker.address
+        here.set_exception(WorkerLost(f"workers died over it again and again, {last} the last: for lack of memory?"))
+        return
+    except (CancelledError, Exception) as error:  # noqa: BLE001 - what the function raises is a result: it is Dask's
+        gone = BrokenExecutor(f"the Dask cluster {address} is gone, or cannot do the work ({_brief(error)})")
+        here.set_exception(gone)
+        return
+    try:
+        here.set_result(outcome(told))
+    except Exception as error:  # noqa: BLE001 - it is raised again where the result is asked for
+        here.set_exception(error)
+
+
+def _brief(error: BaseException) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"[:200]
+
+
+def _answer_alone(function: Callable[..., Any], arguments: bytes) -> bytes:
+    """Call the function, on a worker: one item at a time, numerical warnings unsaid as in any worker."""
+    with _one_at_a_time, warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return answer(function, arguments)

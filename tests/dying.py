@@ -1,0 +1,36 @@
+"""Functions for workers, some of which end the worker that they run in: for tests only."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+
+def square(x: int) -> int:
+    return x * x
+
+
+def process_of(_: int) -> int:
+    return os.getpid()
+
+
+def die_once(x: int, marks: Path, worst: int) -> int:
+    """Kill the worker at the worst item, the first time; the mark says that it was done."""
+    time.sleep(0.01)
+    mark = marks / str(x)
+    if x == worst and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return x * x
+
+
+def die_always(x: int, worst: int) -> int:
+    if x == worst:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return x * x
+
+
+def fail(x: int) -> int:
+    if x == 2:
+        raise ArithmeticError("two")
+    return x
