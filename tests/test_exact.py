@@ -10,7 +10,7 @@ from planeopt.solution import Solution
 from planeopt.solvers import Ipopt, Sqp
 from planeopt.spot import Spot
 
-KINDS = ["any"] * 960 + ["on the beam"] * 10 + ["on the axis"] * 10 + ["frontal"] * 10 + ["beta 180"] * 10
+KINDS = ["any"] * 210 + ["on the beam"] * 10 + ["on the axis"] * 10 + ["frontal"] * 10 + ["beta 180"] * 10
 
 
 @pytest.fixture(scope="module")
