@@ -25,8 +25,11 @@ types: $(READY)
 	$(BIN)/pyright
 
 # A file's tests stay together: what they share (a calibration, a page, a report) is made once and not in each worker.
+# Threads within the workers would only stand in each other's way; so they would in a study's.
+ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+
 test: lint types
-	$(BIN)/pytest -n $(WORKERS) --dist loadfile
+	$(ONE_THREAD) $(BIN)/pytest -n $(WORKERS) --dist loadfile
 
 # The other end of what pyproject.toml allows: the oldest versions of everything, OpenCV 4.10 among them, and the tests
 # that reach it. Wheels of all of them exist for Python 3.11 and 3.12. What old libraries deprecate of each other is theirs.
@@ -48,9 +51,8 @@ test-oldest: $(OLDEST_READY)
 bench: $(READY)
 	$(BIN)/pytest benchmarks -p no:cacheprovider
 
-# The work is spread over processes: threads within each would only stand in each other's way.
 studies: $(READY)
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m studies --jobs $(WORKERS)
+	$(ONE_THREAD) $(BIN)/python -m studies --jobs $(WORKERS)
 
 # A page for each room but the command line, whose documentation is its --help; the rooms' pages hold their public names.
 ROOMS := $(sort $(filter-out __% cli,$(basename $(notdir $(wildcard src/planeopt/*.py))) \
