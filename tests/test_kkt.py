@@ -10,7 +10,16 @@ from cases import WORKED, WORKED_SETUP, Array
 from planeopt import equations as eq
 from planeopt.estimation import solve_problem
 from planeopt.estimation.starts import from_closed_form
-from planeopt.formulations import ClosedForm, Constrained, Elastic, Formulation, LeastSquares, Problem, Reprojection
+from planeopt.formulations import (
+    ClosedForm,
+    Constrained,
+    Elastic,
+    Formulation,
+    LeastSquares,
+    Penalty,
+    Problem,
+    Reprojection,
+)
 from planeopt.nlp import Model, Nlp, Row
 from planeopt.solution import RESOLUTION, Effort, Status
 from planeopt.solvers import Found, Ipopt, Sqp
@@ -328,3 +337,9 @@ def test_no_covariance_where_the_answer_lies_on_the_edge_of_what_can_be_seen() -
 def test_start_at_is_where_the_search_begins() -> None:
     nlp = Constrained().build(exact(WORKED, WORKED_SETUP), start_at(WORKED))
     assert check(nlp, nlp.start).ok
+
+
+def test_a_search_that_ran_off_to_depth_zero_is_no_answer_and_no_warning() -> None:
+    nlp = programme(Penalty(), exact(WORKED, WORKED_SETUP)).penalised(1e5)
+    found = check(nlp, np.array([WORKED.R, 0.0, WORKED.alpha, WORKED.beta]))
+    assert not found.ok

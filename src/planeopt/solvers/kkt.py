@@ -83,7 +83,9 @@ def _check_and_step(nlp: Nlp, x: Array) -> tuple[KktCheck, Array | None]:
     plane, by_unknowns = (np.asarray(value) for value in nlp.model.plane_and_jacobian(x, nlp.parameters))
     z_L, p, q = plane.ravel()
     size = np.array([max(abs(z_L), np.finfo(float).tiny), 1 + p**2 + q**2, 1 + p**2 + q**2])
-    length = float(np.max(np.abs(by_unknowns @ (step * nlp.x_scale)) / size))
+    # A search that ran off to z_L = 0 leaves a step that overflows over it: not finite, and so no answer.
+    with np.errstate(over="ignore"):
+        length = float(np.max(np.abs(by_unknowns @ (step * nlp.x_scale)) / size))
     if not np.isfinite(length):
         return KktCheck(feasibility, np.inf, dual, minimum=False), None
     # Where the unknowns cannot express every plane (beta at alpha = 0), curvature along them says nothing of the plane.
