@@ -45,6 +45,7 @@ ROOMS = (
     "check",
     "posterior",
     "comparison",
+    "design",
     "simulation",
     "calibration",
     "formats",

@@ -19,6 +19,7 @@ from planeopt.cli.check import check
 from planeopt.cli.clock import now
 from planeopt.cli.compare import compare
 from planeopt.cli.demo import demo
+from planeopt.cli.design import design
 from planeopt.cli.export import export
 from planeopt.cli.import_ import import_
 from planeopt.cli.messages import complain
@@ -56,9 +57,10 @@ def build_app() -> App:
         version=__version__,
         suppress_keyboard_interrupt=False,
     )
-    for command in (demo, board, calibrate, check, recalibrate, spot, pose, report, compare, reproduce, simulate):
+    for command in (demo, board, calibrate, check, recalibrate, spot, pose, report, compare, design):
         app.command(command)
-    app.command(export)
+    for command in (reproduce, simulate, export):
+        app.command(command)
     app.command(import_, name="import")
     return app
 
