@@ -1,15 +1,19 @@
 """A Dask cluster as an executor: one that runs somewhere, or one of this machine for the time being."""
 
 import logging
+import math
 import pickle
 import platform
 import sys
 import threading
+import time
 import warnings
 from asyncio import CancelledError
+from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
 from typing import TYPE_CHECKING, Any, cast
@@ -79,7 +83,9 @@ def cluster(address: str, jobs: int = 1) -> Iterator[Executor]:
         client = opened.enter_context(_client(distributed, where, address))
         if address != LOCAL:
             _check_workers(client, address)
-        yield DaskExecutor(client, address)
+        executor = DaskExecutor(client, address)
+        opened.callback(executor.close)
+        yield executor
 
 
 def _distributed() -> Any:
@@ -147,10 +153,19 @@ def _version(name: str) -> str:
         return "none"
 
 
+@dataclass(frozen=True, eq=False)
+class _Task:
+    function: Callable[..., Any]
+    arguments: bytes
+    future: Future[Any]
+
+
 class DaskExecutor(Executor):
     """An executor over a Dask client, which it leaves open.
 
-    A function is sent to the cluster once, and again only when another one was sent between.
+    Of its calls only as many are at the cluster at once as this has workers: of a worker that dies Dask suspects all
+    that was sent to it, and an item that kills workers would take its neighbours along. A function is sent to the
+    cluster once, and again only when another one was sent between.
 
     Parameters
     ----------
@@ -162,47 +177,107 @@ class DaskExecutor(Executor):
     def __init__(self, client: "Client", address: str):
         self._client = client
         self._address = address
+        self._lock = threading.Lock()
+        self._waiting: deque[_Task] = deque()
+        self._under_way = 0
+        self._closed = False
         self._function: Callable[..., Any] | None = None
-        self._sent: Any = None
+        self._sent: DaskFuture | None = None
+        self._workers = 1
+        self._counted = -math.inf
 
     @property
     def workers(self) -> int:
-        """How many workers the cluster has now."""
-        return len(cast(dict[str, int], self._client.ncores()))
+        """How many workers the cluster has, or had a second ago; 1 while it has none."""
+        if time.monotonic() > self._counted + 1.0:
+            self._workers = max(1, len(cast(dict[str, int], self._client.ncores())))
+            self._counted = time.monotonic()
+        return self._workers
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Send a call to the cluster; see `concurrent.futures.Executor`."""
-        if fn is not self._function:
-            # The result of a task, unlike data that was scattered, is made again where a worker that had it dies.
-            self._sent = self._client.submit(pickle.loads, pickle.dumps(fn), pure=False)
-            self._function = fn
-        there = self._client.submit(_answer_alone, self._sent, pickle.dumps((args, kwargs)), pure=False)
-        here: Future[Any] = Future()
-        here.add_done_callback(lambda future: there.cancel() if future.cancelled() else None)
-        there.add_done_callback(partial(_hand_over, here=here, address=self._address))
-        return here
+        """Queue a call; see `concurrent.futures.Executor`."""
+        task = _Task(fn, pickle.dumps((args, kwargs)), Future())
+        with self._lock:
+            if self._closed:
+                raise RuntimeError("cannot take new work after shutdown")
+            self._waiting.append(task)
+        self._fill()
+        return task.future
+
+    def close(self) -> None:
+        """Take no new work, and cancel what waits."""
+        with self._lock:
+            self._closed = True
+            for task in self._waiting:
+                task.future.cancel()
+                task.future.set_running_or_notify_cancel()
+            self._waiting.clear()
+
+    def _fill(self) -> None:
+        """Send waiting calls to the cluster, one for each worker."""
+        try:
+            room = self.workers
+            with self._lock:
+                while self._waiting and self._under_way < room:
+                    self._send(self._waiting.popleft())
+        except Exception as error:  # noqa: BLE001 - whatever Dask raises here, nothing can be sent any more
+            gone = _gone(self._address, error)
+            with self._lock:
+                for task in self._waiting:
+                    if task.future.set_running_or_notify_cancel():
+                        task.future.set_exception(gone)
+                self._waiting.clear()
+
+    def _send(self, task: _Task) -> None:
+        if not task.future.set_running_or_notify_cancel():
+            return
+        try:
+            if task.function is not self._function:
+                # The result of a task, unlike data that was scattered, is made again where its worker dies.
+                self._sent = self._client.submit(pickle.loads, pickle.dumps(task.function), pure=False)
+                self._function = task.function
+            there = self._client.submit(_answer_alone, self._sent, task.arguments, pure=False)
+        except Exception as error:  # noqa: BLE001 - it is raised again where the result is asked for
+            task.future.set_exception(error)
+            return
+        self._under_way += 1
+        there.add_done_callback(partial(self._done, task=task))
+
+    def _done(self, there: "DaskFuture", task: _Task) -> None:
+        """Hand over what came of a call, and send the next; Dask calls this in a thread of its own."""
+        try:
+            told = _told(there, self._address)
+        except BrokenExecutor as error:
+            told = error
+        with self._lock:
+            self._under_way -= 1
+            closed = self._closed
+        try:
+            if isinstance(told, BrokenExecutor):
+                raise told
+            task.future.set_result(outcome(told))
+        except Exception as error:  # noqa: BLE001 - it is raised again where the result is asked for
+            task.future.set_exception(error)
+        if not closed:
+            self._fill()
 
 
-def _hand_over(there: "DaskFuture", here: Future[Any], address: str) -> None:
-    """Give the outcome of a task to the future that its user has, unless that was cancelled."""
-    if not here.set_running_or_notify_cancel():
-        return
+def _told(there: "DaskFuture", address: str) -> bytes:
+    """Return what a worker told; `BrokenExecutor` says that none did."""
     from distributed import KilledWorker
 
     try:
-        told = there.result()
+        return there.result()
     except KilledWorker as error:
         last = error.last_worker.address
-        here.set_exception(WorkerLost(f"workers died over it again and again, {last} the last: for lack of memory?"))
-        return
-    except (CancelledError, Exception) as error:  # noqa: BLE001 - what the function raises is a result: it is Dask's
-        gone = BrokenExecutor(f"the Dask cluster {address} is gone, or cannot do the work ({_brief(error)})")
-        here.set_exception(gone)
-        return
-    try:
-        here.set_result(outcome(told))
-    except Exception as error:  # noqa: BLE001 - it is raised again where the result is asked for
-        here.set_exception(error)
+        raise WorkerLost(f"workers died over it again and again, {last} the last: for lack of memory?") from error
+    except (CancelledError, Exception) as error:
+        # What the function raises is a result: this is Dask's own.
+        raise _gone(address, error) from error
+
+
+def _gone(address: str, error: BaseException) -> BrokenExecutor:
+    return BrokenExecutor(f"the Dask cluster {address} is gone, or cannot do the work ({_brief(error)})")
 
 
 def _brief(error: BaseException) -> str:
