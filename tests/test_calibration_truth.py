@@ -1,4 +1,7 @@
-"""Path-traced sessions with their truth: the calibration, and the poses of the targets with the calibrated rig."""
+"""Path-traced sessions with their truth: the calibration, and the poses of the targets with the calibrated rig.
+
+The same of the bundled session is asked of the demo, which calibrates on it: test_cli_demo.py.
+"""
 
 import os
 from pathlib import Path
@@ -10,10 +13,7 @@ from opencv_camera import opencv_camera
 from planeopt.accuracy import Score, read_truth
 from planeopt.batch import measure
 from planeopt.calibration import Calibration, Options, calibrate
-from planeopt.executors import processes
 from planeopt.rig import load_rig
-
-EXAMPLE = Path(__file__).parents[1] / "calibration" / "example"
 
 SIGMAS = 3.5
 """Standard deviations within which every parameter and pose lies: of 60 numbers, by chance beyond it 3 in 100."""
@@ -26,11 +26,10 @@ def shared(name: str) -> Path:
     return Path(data) / name
 
 
-@pytest.fixture(scope="module", params=["example", "rig-a"])
+@pytest.fixture(scope="module", params=["rig-a"])
 def data(request: pytest.FixtureRequest) -> tuple[Path, Calibration]:
-    folder = EXAMPLE if request.param == "example" else shared(request.param)
-    with processes(2) as executor:
-        return folder, calibrate(folder / "session", executor=executor)
+    folder = shared(request.param)
+    return folder, calibrate(folder / "session")
 
 
 def test_every_parameter_is_true_to_its_sigma(data: tuple[Path, Calibration]):

@@ -5,18 +5,19 @@ import io
 import json
 import re
 import runpy
-import subprocess
-import sys
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import pytest
 from scipy.stats import chi2
 
+import planeopt.calibration
 from example_rig import RIG_FILE, TARGETS
 from planeopt.accuracy import rig_chi2, rig_scores
+from planeopt.calibration import Detected, Session, detect
 from planeopt.cli import main
 from planeopt.errors import InputError
 from planeopt.example import example_folder
@@ -29,18 +30,34 @@ SESSION = example_folder() / "session"
 
 @dataclass(frozen=True)
 class Run:
+    """What the demo wrote and said, and what it found in the images of its session."""
+
     folder: Path
     out: str
     err: str
+    session: Session
+    detected: Detected
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """The demo, once; without posteriors, with which `planeopt report` is tested."""
     folder = tmp_path_factory.mktemp("demo") / "deep" / "out"
-    with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as err:
+    kept: list[tuple[Session, Detected]] = []
+
+    def keeping(session: Session, **options: Any) -> Detected:
+        kept.append((session, detect(session, **options)))
+        return kept[-1][1]
+
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        redirect_stdout(io.StringIO()) as out,
+        redirect_stderr(io.StringIO()) as err,
+    ):
+        patch.setattr("planeopt.calibration.routine.detect", keeping)
         assert main(["demo", "-o", str(folder), "--no-posterior"]) == 0
-    return Run(folder, out.getvalue(), err.getvalue())
+    (found,) = kept
+    return Run(folder, out.getvalue(), err.getvalue(), *found)
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:
@@ -95,6 +112,15 @@ def test_the_calibrated_rig_is_the_true_one_within_what_it_claims(run: Run):
     assert [float(row["error"]) for row in rows] == [score.error for score in scores]
 
 
+def test_the_offset_goes_with_the_direction_and_poses_hardly_suffer(run: Run):
+    costs = json.loads((run.folder / "calibration" / "calibration.json").read_text())["cost"]
+    assert costs
+    for cost in costs:
+        # What the parameters' own sigmas would seem to cost, were camera and beam independent, is far more.
+        assert cost["sigma_z_L_mm"] < 0.5 * cost["independent_z_L_mm"]
+        assert cost["sigma_normal_deg"] < 0.5 * cost["independent_normal_deg"]
+
+
 def test_poses_with_the_calibrated_rig_are_true_within_what_they_claim(run: Run):
     records = [record_from_json(line) for line in (run.folder / "poses.jsonl").read_text().splitlines()]
     assert [record.input for record in records] == [target.name for target in TARGETS]
@@ -124,7 +150,15 @@ def test_the_report_has_the_calibrated_rig_and_names_the_targets(run: Run):
     assert [r["z_L_mm"] for r in report["records"]] == [r["z_L_mm"] for r in records]
 
 
-def test_the_script_writes_what_the_demo_does(run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_the_script_writes_what_the_demo_does(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    def again(session: Session, **_: object) -> Detected:
+        assert session == run.session
+        return run.detected
+
+    # The same images of the same session are not looked at again.
+    monkeypatch.setattr(planeopt.calibration, "detect", again)
     script = runpy.run_path(str(SCRIPT))
     assert script["main"](SESSION, tmp_path / "deep" / "out") == 0
     said = capsys.readouterr().out
@@ -147,13 +181,13 @@ def test_the_script_says_what_is_wrong(tmp_path: Path):
 
 
 @pytest.mark.parametrize("kind", ["file", "folder"])
-def test_the_script_writes_over_nothing_and_says_so_at_once(kind: str, tmp_path: Path):
+def test_the_script_writes_over_nothing_and_says_so_at_once(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "out").touch() if kind == "file" else (tmp_path / "out").mkdir()
-    command = [sys.executable, str(SCRIPT), str(tmp_path / "no session"), "-o", str(tmp_path / "out")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 1
-    # Before the session is even looked for.
-    assert done.stderr == f"{tmp_path / 'out'}: exists already; name another folder\n"
+    monkeypatch.setattr("sys.argv", [str(SCRIPT), str(tmp_path / "no session"), "-o", str(tmp_path / "out")])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(SCRIPT), run_name="__main__")
+    # Before the session is even looked for; Python prints a text that it ends with, and its status is then 1.
+    assert ended.value.code == f"{tmp_path / 'out'}: exists already; name another folder"
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
