@@ -257,7 +257,7 @@ def test_an_ellipse_that_no_plane_explains_is_never_ok(problem: Problem) -> None
 
 def test_a_local_minimum_that_chi_squared_cannot_see_is_refused() -> None:
     """On the beam's surface unweighted least squares can stop far away, its left-over misfit small by chance."""
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(1)
     refused = 0
     for _ in range(12):
         case = random_case(rng, 100, "on the beam")

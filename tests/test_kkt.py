@@ -204,6 +204,9 @@ class Liar:
     def name(self) -> str:
         return "Liar"
 
+    def prepare(self, nlp: Nlp) -> None:
+        pass
+
     def solve(self, nlp: Nlp) -> Found:
         x = nlp.start + self.by * nlp.x_scale
         return Found(nlp, x, "Solve_Succeeded", check(nlp, x), Effort(), NO_TRACE)

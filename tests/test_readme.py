@@ -143,7 +143,7 @@ def test_every_target_of_make_is_there():
 
 def test_formulations_and_solvers_are_all_in_the_table_with_the_solvers_that_suit_them():
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in README.splitlines() if line[:3] == "| `"]
-    listed = {row[0].strip("`"): set(re.findall(r"`(\w+)`", row[2])) for row in rows if len(row) == 4}
+    listed = {row[0].strip("`"): set(re.findall(r"`(\w+(?:\(\w+\))?)`", row[2])) for row in rows if len(row) == 4}
     suits = {name: {m.solver.name for m in METHODS if m.formulation.name == name and m.solver} for name in FORMULATIONS}
     assert listed == suits
     assert set.union(*listed.values()) == set(SOLVERS)

@@ -1,6 +1,6 @@
 """Formulations and solvers by name, and the pairs of them that make sense."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -15,7 +15,7 @@ from planeopt.formulations import (
     Penalty,
     Reprojection,
 )
-from planeopt.solvers import Ipopt, Solver, Sqp, Swift
+from planeopt.solvers import Ipopt, Penalised, Solver, Sqp, Swift
 
 Choice = TypeVar("Choice")
 
@@ -26,6 +26,11 @@ class Method:
 
     formulation: Formulation
     solver: Solver | None = None
+
+    @property
+    def name(self) -> str:
+        """What tables call it."""
+        return self.formulation.name if self.solver is None else f"{self.formulation.name} + {self.solver.name}"
 
 
 METHODS: tuple[Method, ...] = (
@@ -39,14 +44,48 @@ METHODS: tuple[Method, ...] = (
     Method(LeastSquares(), Ipopt()),
     Method(LeastSquares(), Sqp()),
     Method(Penalty(), Swift()),
+    Method(Penalty(), Penalised()),
     Method(Penalty("image objective"), Swift()),
+    Method(Penalty("image objective"), Penalised()),
     Method(ClosedForm()),
     Method(AsPrinted()),
 )
-"""What `planeopt.compare` compares; the first is the default of `planeopt.solve`."""
+"""The pairs that suit each other; the first is the default of `planeopt.solve`."""
 
 FORMULATIONS: Mapping[str, Formulation] = {method.formulation.name: method.formulation for method in METHODS}
 SOLVERS: Mapping[str, Solver] = {method.solver.name: method.solver for method in METHODS if method.solver is not None}
+
+
+def _every() -> Iterator[Method]:
+    for formulation in FORMULATIONS.values():
+        fitting = [method for method in METHODS if method.formulation == formulation]
+        if fitting[0].solver is None:
+            yield fitting[0]
+            continue
+        yield from fitting
+        others = [Method(formulation, solver) for solver in SOLVERS.values()]
+        yield from (method for method in others if method not in fitting)
+
+
+EVERY: tuple[Method, ...] = tuple(_every())
+"""Every formulation with every solver, those that suit it first; what needs no solver once."""
+
+
+def methods_named(names: Iterable[str]) -> tuple[Method, ...]:
+    """Return the methods of these names: a pair ("LeastSquares + Sqp"), or a formulation with all that suit it.
+
+    Raises
+    ------
+    InputError
+        If there is no such name; lists those that there are.
+    """
+    found: dict[str, Method] = {}
+    for name in names:
+        formulation, plus, solver = name.partition("+")
+        chosen = method_named(formulation, solver if plus else None)
+        several = [chosen] if plus else [method for method in METHODS if method.formulation == chosen.formulation]
+        found |= {method.name: method for method in several}
+    return tuple(found.values())
 
 
 def method_named(formulation: str | None, solver: str | None) -> Method:
@@ -72,7 +111,7 @@ def _named(what: str, name: str, known: Mapping[str, Choice]) -> Choice:
     for candidate, choice in known.items():
         if _bare(candidate) == _bare(name):
             return choice
-    raise InputError(f"there is no {what} {name!r}; there are {', '.join(known)}")
+    raise InputError(f"there is no {what} {name.strip()!r}; there are {', '.join(known)}")
 
 
 def _bare(name: str) -> str:

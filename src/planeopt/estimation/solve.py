@@ -1,5 +1,6 @@
 """One spot, one rig, one formulation, one solver: the plane, or the reason why not."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +26,18 @@ from planeopt.formulations import (
 )
 from planeopt.formulations.snooping import explained_without
 from planeopt.rig import Rig
-from planeopt.solution import FEASIBLE, RESOLUTION, Flag, Identifiability, KktCheck, Solution, SolveError, Status
+from planeopt.solution import (
+    FEASIBLE,
+    RESOLUTION,
+    Effort,
+    End,
+    Flag,
+    Identifiability,
+    KktCheck,
+    Solution,
+    SolveError,
+    Status,
+)
 from planeopt.solvers import Found, Ipopt, Solver, Swift
 from planeopt.solvers.kkt import NoCovariance, plane_covariance
 from planeopt.spot import Spot
@@ -86,16 +98,22 @@ def solve_problem(
     *,
     formulation: Formulation | None = None,
     solver: Solver | None = None,
-    start: starts.StartLike | None = None,
+    start: starts.StartLike | Start | None = None,
     restart: bool = True,
     throw: bool = False,
 ) -> Solution:
-    """As `solve`, from a `Problem`: points or an ellipse on the laser-parallel image plane, in mm."""
+    """As `solve`, from a `Problem`: points or an ellipse on the laser-parallel image plane, in mm.
+
+    A `Start` is taken as it is.
+    """
     formulation = Constrained() if formulation is None else formulation
     if solver is None:
         searched = formulation.formulation if isinstance(formulation, EitherSide) else formulation
         solver = Swift() if isinstance(searched, Penalty) else Ipopt()
-    first = starts.from_closed_form(problem) if start is None else starts.given(start, problem)
+    if isinstance(start, Start):
+        first = start
+    else:
+        first = starts.from_closed_form(problem) if start is None else starts.given(start, problem)
     solution = _attempt(problem, formulation, solver, first)
     if restart and start is not None and _failed(solution):
         again = _attempt(problem, formulation, solver, starts.from_closed_form(problem))
@@ -137,28 +155,47 @@ def _attempt(problem: Problem, formulation: Formulation, solver: Solver, start: 
     )
     if identifiability.null_vector is not None:
         return _refused(blank, Status.UNIDENTIFIABLE, f"{Status.UNIDENTIFIABLE.value} {identifiability.null_vector}.")
+    begun = time.perf_counter()
     built = formulation.build(problem, start)
+    building = time.perf_counter() - begun
     if isinstance(built, Refusal):
         return replace(_refused(blank, built.status, built.message), solver="none")
     if isinstance(built, DirectAnswer):
         singular = NoCovariance(Status.NO_COVARIANCE, "the closed form is singular here")
         covariance = singular if built.covariance is None else built.covariance
-        return _judged(replace(blank, solver="none"), problem, built.plane, covariance)
-    return _searched(blank, problem, solver.solve(built))
+        direct = replace(blank, solver="none", end=_end(problem, None, built.plane), effort=Effort(solve_s=building))
+        return _judged(direct, problem, built.plane, covariance)
+    return _searched(replace(blank, effort=Effort(build_s=building)), problem, solver.solve(built))
 
 
 def _searched(blank: Solution, problem: Problem, found: Found) -> Solution:
-    solution = replace(blank, effort=found.effort, trace=found.trace, kkt=found.kkt)
+    solution = replace(blank, effort=blank.effort + found.effort, trace=found.trace, kkt=found.kkt)
     if found.refused is not None:
-        message = f"{found.refused}; {_sentence(blank.identifiability)}. Use Swift, which penalises them."
-        return replace(_refused(solution, Status.OVERDETERMINED, message), kkt=None)
+        return replace(_refused(solution, found.refusal, _why_not_called(found, blank.identifiability)), kkt=None)
     plane = found.nlp.plane(found.x)
+    solution = replace(solution, end=_end(problem, found, plane))
     if not np.isfinite(plane).all() or not found.kkt.feasible:
         return _refused(solution, Status.INFEASIBLE, f"{Status.INFEASIBLE.value} {_worst_row(found)}")
     if not found.kkt.ok:
         message = f"{Status.NOT_CONVERGED.value} {_what_is_missing(found.kkt)} ({solution.solver}: {found.report})."
         return _refused(solution, Status.NOT_CONVERGED, message)
     return _judged(solution, problem, plane, plane_covariance(found.nlp, found.x))
+
+
+def _why_not_called(found: Found, identifiability: Identifiability | None) -> str:
+    if found.refusal is Status.OVERDETERMINED:
+        return f"{found.refused}; {_sentence(identifiability)}. Use Swift, which penalises them."
+    return f"{found.refusal.value} Here {found.refused}."
+
+
+def _end(problem: Problem, found: Found | None, plane: Array) -> End | None:
+    """Where the search stopped; None where its functions are not finite."""
+    z_L, p, q = (float(value) for value in plane)
+    if not np.isfinite(plane).all():
+        return None
+    if found is not None and "R" in found.nlp.model.variables:
+        return End(float(found.x[found.nlp.model.variables.index("R")]), z_L, p, q)
+    return End(float(eq.long_axis(np, p, q, problem.setup.r)), z_L, p, q)
 
 
 def _what_is_missing(kkt: KktCheck) -> str:

@@ -17,13 +17,15 @@ Array = NDArray[np.float64]
 class Start:
     """Where a search begins: ``R`` (mm) and ``(z_L, p, q)`` of the laser-parallel frame; ``cold`` when a user chose it.
 
-    ``beta`` (rad) is kept because a paper-variables search at ``alpha = 0`` still needs one.
+    ``beta`` (rad) is kept because a paper-variables search at ``alpha = 0`` still needs one. ``held``: no formulation
+    may begin from a better one of its own, so that all that are compared begin at one plane.
     """
 
     R: float
     plane: tuple[float, float, float]
     beta: float
     cold: bool = False
+    held: bool = False
 
     @property
     def in_slopes(self) -> Array:

@@ -37,7 +37,7 @@ class Elastic:
 
     def build(self, problem: Problem, start: Start) -> Nlp:
         r = problem.setup.r
-        if not start.cold:
+        if not (start.cold or start.held):
             start = _best_without_one(problem, start)
         weights = _weights(problem, start)
         lower, upper = pose_bounds("paper", r)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from planeopt import equations as eq
 from planeopt.formulations.base import Refusal, Start
+from planeopt.formulations.bounds import less_steep, nearer
 from planeopt.formulations.problem import Problem
 from planeopt.nlp import Model, Nlp, Row
 from planeopt.solution import Status
@@ -58,7 +59,7 @@ class Reprojection:
             -free,
             free,
             np.ones(3 + n),
-            np.array([k.r, k.r**2, k.r]),
+            np.array([k.r, k.r**2, k.r, 1.0, 1.0]),
             scipy.sparse.csr_array(scipy.sparse.block_diag(list(roots))),
         )
 
@@ -130,8 +131,9 @@ def _model(n: int) -> Model:
     pose, angles = centre[:3] + plane_unit @ x[n:], centre[3:] + angle_unit * x[:n]
     residuals = distance.map(n)(pose, angles.T, setup, points, triangles)
     k, v = eq.Setup(*ca.vertsplit(setup)), eq.SlopeVariables(None, *ca.vertsplit(pose))
-    visible = (eq.before_camera, eq.in_front_in_slopes, eq.lit_side_in_slopes)
-    rows = [e(ca, v, k) / scale for e, scale in zip(visible, (k.r, k.r**2, k.r), strict=True)]
+    # The unknowns mix depth and slopes: what bounds them in other formulations is a row here.
+    limits = (eq.before_camera, eq.in_front_in_slopes, eq.lit_side_in_slopes, nearer, less_steep)
+    rows = [e(ca, v, k) / scale for e, scale in zip(limits, (k.r, k.r**2, k.r, 1, 1), strict=True)]
     return Model(
         f"reprojection_{n}",
         (*(f"phi_{i}" for i in range(n)), "z_L", "p", "q"),
@@ -139,7 +141,7 @@ def _model(n: int) -> Model:
         p,
         0.5 * ca.sumsqr(residuals),
         ca.vertcat(*rows),
-        tuple(Row(e, equality=False) for e in visible),
+        tuple(Row(e, equality=False) for e in limits),
         pose,
         points,
     )

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planeopt.errors import InputError
-from planeopt.nlp import Nlp
-from planeopt.solution import Effort, KktCheck, Trace
+from planeopt.nlp import Model, Nlp
+from planeopt.solution import Effort, KktCheck, Status, Trace
 
 Array = NDArray[np.float64]
 
@@ -31,6 +31,8 @@ class Found:
     trace : Trace
     refused : str or None
         Why the solver was not called.
+    refusal : Status
+        What that makes of the solution.
     """
 
     nlp: Nlp
@@ -40,6 +42,7 @@ class Found:
     effort: Effort
     trace: Trace
     refused: str | None = None
+    refusal: Status = Status.OVERDETERMINED
 
 
 class Solver(Protocol):
@@ -48,6 +51,10 @@ class Solver(Protocol):
     @property
     def name(self) -> str:
         """What tables and records call it."""
+        ...
+
+    def prepare(self, nlp: Nlp) -> None:
+        """Make what a search of this model needs and what checks its answer; nothing where that is there already."""
         ...
 
     def solve(self, nlp: Nlp) -> Found:
@@ -69,6 +76,23 @@ def check_limits(tol: float, max_iter: int) -> None:
         raise InputError(f"a solver's budget must be at least 1, not {max_iter}")
 
 
+def check_weights(solver: str, weights: tuple[float, ...]) -> None:
+    """Refuse a penalty's schedule that does not rise.
+
+    Raises
+    ------
+    InputError
+        If the weights are not positive, finite and rising.
+    """
+    try:
+        values = np.asarray(weights, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{solver}'s weights must be numbers, not {weights!r}") from error
+    rising = values.ndim == 1 and len(values) > 0 and np.isfinite(values).all()
+    if not rising or values[0] <= 0 or np.any(np.diff(values) <= 0):
+        raise InputError(f"{solver}'s weights must be positive, finite and rising, not {weights}")
+
+
 def too_many_equalities(nlp: Nlp) -> str | None:
     """Why hard equalities outnumber the unknowns, in words; None where they do not.
 
@@ -81,6 +105,12 @@ def too_many_equalities(nlp: Nlp) -> str | None:
         return None
     listed = ", ".join(f"({number})" for number in equalities)
     return f"{len(equalities)} hard equations ({listed}) for {n} unknowns: more equations than unknowns"
+
+
+def functions(model: Model) -> None:
+    """Make the functions that check an answer and give its covariance; they stay with the model."""
+    for name in ("values", "first_order", "hessian", "data_adjoint", "plane_and_jacobian"):
+        getattr(model, name)
 
 
 def path_trace(nlp: Nlp, parameters: Array, path: Array, stage: NDArray[np.integer], *, keep: bool) -> Trace:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from planeopt.nlp import Nlp
 from planeopt.solvers.base import Found, check_limits
-from planeopt.solvers.plugin import run
+from planeopt.solvers.plugin import Options, prepare, run
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,15 @@ class Ipopt:
     def name(self) -> str:
         return "Ipopt"
 
+    def prepare(self, nlp: Nlp) -> None:
+        prepare(nlp, "ipopt", self._options)
+
     def solve(self, nlp: Nlp) -> Found:
-        options = (
+        return run(nlp, "ipopt", self._options, record=self.record)
+
+    @property
+    def _options(self) -> Options:
+        return (
             ("ipopt.print_level", 0),
             ("ipopt.sb", "yes"),
             ("ipopt.tol", self.tol),
@@ -45,4 +52,3 @@ class Ipopt:
             ("ipopt.bound_relax_factor", 0.0),
             ("ipopt.max_iter", self.max_iter),
         )
-        return run(nlp, "ipopt", options, record=self.record)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planeopt.nlp import Model, Nlp
 from planeopt.solution import Effort, Trace
 from planeopt.solvers import kkt
-from planeopt.solvers.base import NO_TRACE, Found, path_trace, too_many_equalities
+from planeopt.solvers.base import NO_TRACE, Found, functions, path_trace, too_many_equalities
 
 Array = NDArray[np.float64]
 Options = tuple[tuple[str, Any], ...]
@@ -27,11 +27,15 @@ _built: WeakKeyDictionary[Model, dict[tuple[str, Options], ca.Function]] = WeakK
 
 
 class Recorder(ca.Callback):
-    """Keeps every iterate. It does no work that could fail: CasADi swallows exceptions raised in a callback."""
+    """Keeps every iterate, in the search's unknowns.
+
+    It does no work that could fail: CasADi swallows exceptions raised in a callback.
+    """
 
     def __init__(self, model: Model) -> None:
         ca.Callback.__init__(self)
-        self._shapes = {"x": len(model.variables), "g": len(model.rows), "p": model.p.shape[0]}
+        n = len(model.variables)
+        self._shapes = {"x": n, "g": len(model.rows), "p": model.p.shape[0] + n}
         self.iterates: list[Array] = []
         self.construct("recorder", {})
 
@@ -65,10 +69,21 @@ def compiled(model: Model, plugin: str, options: Options) -> ca.Function:
 
 
 def _build(model: Model, plugin: str, options: Options, more: dict[str, Any]) -> ca.Function:
-    programme = {"x": model.x, "p": model.p, "f": model.objective, "g": model.constraints}
+    # The unknowns of the search are the programme's over their typical sizes, which are parameters: the same for every
+    # solver of a programme, whatever it thinks of scaling.
+    unknowns, sizes = (type(model.x).sym(name, model.x.shape[0]) for name in ("unknowns", "sizes"))
+    f, g = ca.substitute([model.objective, model.constraints], [model.x], [unknowns * sizes])
+    programme = {"x": unknowns, "p": ca.vertcat(model.p, sizes), "f": f, "g": g}
     expand = model.x.shape[0] <= EXPANDED
     quiet = {"print_time": False, "show_eval_warnings": False}
     return ca.nlpsol("solver", plugin, programme, {**quiet, **dict(options), "expand": expand, **more})
+
+
+def prepare(nlp: Nlp, plugin: str, options: Options) -> None:
+    """Make the solver function and those that check its answer."""
+    functions(nlp.model)
+    if too_many_equalities(nlp) is None:
+        compiled(nlp.model, plugin, options)
 
 
 def run(nlp: Nlp, plugin: str, options: Options, *, record: bool) -> Found:
@@ -83,40 +98,42 @@ def _run(nlp: Nlp, plugin: str, options: Options, *, record: bool) -> Found:
         return Found(nlp, nlp.start, "not called", kkt.check(nlp, nlp.start), Effort(), NO_TRACE, refusal)
     begun = time.perf_counter()
     recorder = Recorder(nlp.model) if record else None
+    prepare(nlp, plugin, options)
     if recorder is None:
         solver = compiled(nlp.model, plugin, options)
     else:
         solver = _build(nlp.model, plugin, options, {"iteration_callback": recorder})
     built = time.perf_counter() - begun
     x, effort, traces, reports = nlp.start, Effort(build_s=built), [], []
+    size = nlp.x_scale
+    lower, upper = nlp.lower / size, nlp.upper / size
     g_lower, g_upper = nlp.row_bounds
     for stage, parameters in enumerate(nlp.stages):
         begun = time.perf_counter()
         seen = len(recorder.iterates) if recorder else 0
-        result = solver(x0=x, p=parameters, lbx=nlp.lower, ubx=nlp.upper, lbg=g_lower, ubg=g_upper)
+        known = np.concatenate([parameters, size])
+        result = solver(x0=x / size, p=known, lbx=lower, ubx=upper, lbg=g_lower, ubg=g_upper)
         stats = solver.stats()
         spent = time.perf_counter() - begun
-        end = np.asarray(result["x"]).ravel()
+        end = np.asarray(result["x"]).ravel() * size
         x = end if np.isfinite(end).all() else x
         reports.append(str(stats["return_status"]))
         effort += _effort(stats, spent)
-        iterates = recorder.iterates[seen:] if recorder else None
+        iterates = [iterate * size for iterate in recorder.iterates[seen:]] if recorder else None
         traces.append(_trace(nlp, parameters, stats, stage, iterates))
         _log.debug("%s %s stage %d: %s", plugin, nlp.model.name, stage, reports[-1])
     begun = time.perf_counter()
     x, found, steps = kkt.polish(nlp, x)
-    effort += Effort(
-        iterations=steps, evaluations=steps, derivative_evaluations=2 * steps, solve_s=time.perf_counter() - begun
-    )
+    effort += Effort(steps, steps, steps, steps, solve_s=time.perf_counter() - begun)
     return Found(nlp, x, " then ".join(reports), found, effort, _joined(traces))
 
 
 def _effort(stats: dict[str, Any], seconds: float) -> Effort:
-    values = sum(int(stats.get(name, 0)) for name in ("n_call_nlp_f", "n_call_nlp_g", "n_call_nlp_fg"))
-    derivatives = sum(
-        int(v) for name, v in stats.items() if name.startswith(("n_call_nlp_grad", "n_call_nlp_jac", "n_call_nlp_hess"))
-    )
-    return Effort(int(stats.get("iter_count", 0)), values, derivatives, 0.0, seconds)
+    """Calls by kind; IPOPT asks for objective and rows apart at each point, `sqpmethod` together."""
+    calls = {name.removeprefix("n_call_nlp_"): int(n) for name, n in stats.items() if name.startswith("n_call_nlp_")}
+    values = max(calls.get("f", 0), calls.get("g", 0)) + calls.get("fg", 0)
+    first = max(calls.get("grad_f", 0), calls.get("jac_g", 0)) + calls.get("jac_fg", 0)
+    return Effort(int(stats.get("iter_count", 0)), values, first, calls.get("hess_l", 0), 0.0, seconds)
 
 
 def _trace(nlp: Nlp, parameters: Array, stats: dict[str, Any], stage: int, iterates: list[Array] | None) -> Trace:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from planeopt.nlp import Nlp
 from planeopt.solvers.base import Found, check_limits
-from planeopt.solvers.plugin import run
+from planeopt.solvers.plugin import Options, prepare, run
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,15 @@ class Sqp:
     def name(self) -> str:
         return "Sqp"
 
+    def prepare(self, nlp: Nlp) -> None:
+        prepare(nlp, "sqpmethod", self._options)
+
     def solve(self, nlp: Nlp) -> Found:
-        options = (
+        return run(nlp, "sqpmethod", self._options, record=self.record)
+
+    @property
+    def _options(self) -> Options:
+        return (
             ("print_header", False),
             ("print_iteration", False),
             ("print_status", False),
@@ -51,4 +58,3 @@ class Sqp:
             ("qpsol_options.print_info", False),
             ("qpsol_options.error_on_fail", False),
         )
-        return run(nlp, "sqpmethod", options, record=self.record)

@@ -9,11 +9,18 @@ from numpy.typing import NDArray
 
 from planeopt.errors import InputError
 from planeopt.nlp import Nlp
-from planeopt.solution import Effort, Trace
-from planeopt.solvers.base import Found, check_limits, path_trace
+from planeopt.solution import Effort, Status, Trace
+from planeopt.solvers.base import NO_TRACE, Found, check_limits, check_weights, functions, path_trace
 from planeopt.solvers.kkt import check
 
 Array = NDArray[np.float64]
+
+MOST_UNKNOWNS = 10
+"""Most unknowns of a simplex search.
+
+With more of them its steps turn away from the descent (Han and Neumann, *Effect of dimensionality on the Nelder-Mead
+simplex method*, 2006): with the 24 of an L1 programme all evaluations are used up short of the minimum.
+"""
 
 
 @dataclass(frozen=True)
@@ -30,6 +37,9 @@ class Swift:
         The schedule, rising.
     tol : float
         Size of the simplex at a stage's end, in the programme's scaled unknowns.
+    value_tol : float
+        Largest difference of (29) over the simplex at a stage's end; infinite unless given, because what a difference
+        means depends on the weight.
     max_evaluations : int
         For each stage.
     record : bool
@@ -40,23 +50,30 @@ class Swift:
     tol: float = 1e-9
     max_evaluations: int = 4000
     record: bool = False
+    value_tol: float = np.inf
 
     def __post_init__(self) -> None:
-        try:
-            weights = np.asarray(self.weights, dtype=float)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"Swift's weights must be numbers, not {self.weights!r}") from error
-        rising = weights.ndim == 1 and len(weights) > 0 and np.isfinite(weights).all()
-        if not rising or weights[0] <= 0 or np.any(np.diff(weights) <= 0):
-            raise InputError(f"Swift's weights must be positive, finite and rising, not {self.weights}")
+        check_weights("Swift", self.weights)
         check_limits(self.tol, self.max_evaluations)
+        if not self.value_tol > 0:
+            raise InputError(f"Swift's value_tol must be positive, not {self.value_tol}")
 
     @property
     def name(self) -> str:
         return "Swift"
 
+    def prepare(self, nlp: Nlp) -> None:
+        functions(nlp.model.penalised)
+
     def solve(self, nlp: Nlp) -> Found:
+        n = len(nlp.start)
+        if n > MOST_UNKNOWNS:
+            reason = f"a simplex search of {n} unknowns does not end at a minimum; its limit here is {MOST_UNKNOWNS}"
+            return Found(
+                nlp, nlp.start, "not called", check(nlp, nlp.start), Effort(), NO_TRACE, reason, Status.UNSUITED
+            )
         begun = time.perf_counter()
+        self.prepare(nlp)
         model = nlp.model.penalised
         # CasADi's buffered call: 0.5 us instead of 10 us, and a simplex search makes thousands.
         buffer, trigger = model.values.buffer()
@@ -87,14 +104,17 @@ class Swift:
                 method="Nelder-Mead",
                 bounds=limits,
                 callback=path.append,
-                options={"xatol": self.tol, "fatol": np.inf, "maxfev": self.max_evaluations},
+                options={"xatol": self.tol, "fatol": self.value_tol, "maxfev": self.max_evaluations},
             )
             scaled = result.x
             reports.append("converged" if result.success else "evaluations used up")
-            effort += Effort(len(path), int(result.nfev), 0, 0.0, time.perf_counter() - begun)
+            effort += Effort(len(path), int(result.nfev), solve_s=time.perf_counter() - begun)
             paths.append(np.array(path).reshape(-1, len(scaled)) * nlp.x_scale)
         solved, x = nlp.penalised(self.weights[-1]), scaled * nlp.x_scale
-        return Found(solved, x, ", ".join(reports), check(solved, x), effort, self._trace(nlp, paths))
+        begun = time.perf_counter()
+        found = check(solved, x)
+        effort += Effort(solve_s=time.perf_counter() - begun)
+        return Found(solved, x, ", ".join(reports), found, effort, self._trace(nlp, paths))
 
     def _trace(self, nlp: Nlp, paths: list[Array]) -> Trace:
         """Best vertex of every iteration; objective and largest violation as the unpenalised programme has them."""
