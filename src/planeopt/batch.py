@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planeopt.errors import InputError
 from planeopt.estimation import solve
-from planeopt.executors import ordered_map
+from planeopt.executors import WorkerLost, ordered_map
 from planeopt.formulations import Formulation
 from planeopt.record import PoseRecord, from_solution, input_error, refused, spot_not_found
 from planeopt.rig import Rig
@@ -212,10 +212,16 @@ def measure_many(
     rig, formulation, solver, search
         As in `measure`.
     executor : Executor, optional
-        Where the work is done; in this process unless given.
+        Where the work is done; in this process unless given. A file over which its workers die again and again gives
+        an `error` record with the flag `worker_lost`.
     """
     work = partial(_record, rig=rig, formulation=formulation, solver=solver, search=search)
-    return ordered_map(work, paths, executor)
+    return ordered_map(work, paths, executor, lost=worker_lost)
+
+
+def worker_lost(path: StrPath, reason: WorkerLost) -> PoseRecord:
+    """Return the `error` record of a file over which workers died."""
+    return PoseRecord(input=str(path), status="error", message=_naming(path, str(reason)), flags=("worker_lost",))
 
 
 def _record(

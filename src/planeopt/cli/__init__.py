@@ -9,6 +9,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Sequence
+from concurrent.futures import BrokenExecutor
 
 from cyclopts import App, CycloptsError
 
@@ -93,6 +94,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except CycloptsError as error:
         return complain(f"{error} See planeopt --help.")
     except InputError as error:
+        return complain(str(error))
+    except BrokenExecutor as error:
         return complain(str(error))
     except BrokenPipeError:
         # Whoever read the output has gone. Python would fail again when it flushes at exit.

@@ -3,16 +3,14 @@
 import csv
 import os
 import shutil
+import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from planeopt.errors import InputError
-
-if TYPE_CHECKING:
-    from planeopt.record import PoseRecord
 
 
 @contextmanager
@@ -62,78 +60,11 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
             table.writerows(rows)
 
 
-@contextmanager
-def record_file(
-    path: Path, inputs: Sequence[str], formulation: str, *, resume: bool, force: bool
-) -> Iterator[tuple[list["PoseRecord"], Callable[["PoseRecord"], None]]]:
-    """Open a file of records, one a line, that can be continued after an interruption.
-
-    Records go to `FILE.part`, each as soon as it is given; at the end that file is renamed.
-
-    Parameters
-    ----------
-    path : Path
-    inputs : sequence of str
-        All inputs of the run, in order.
-    formulation : str
-        By which the run solves; records of another one are not continued. The rig is not in the records: that it is the
-        same is the user's to see to.
-    resume : bool
-        Keep the complete records that are there.
-    force : bool
-        Overwrite what is there.
-
-    Yields
-    ------
-    kept : list of PoseRecord
-        Of the first inputs.
-    write : callable
-        Takes the records of the remaining inputs, in order.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written, exists without `resume` or `force`, or holds records of other inputs
-        or of another formulation.
-    """
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder; name the file of records to write in it")
-    partial = path.with_name(f"{path.name}.part")
-    if resume and force:
-        raise InputError("--resume keeps what is there and --force overwrites it: give one of them")
-    kept: list[PoseRecord] = []
-    content = b""
-    if resume:
-        kept, content = _kept(partial if partial.exists() else path, inputs, formulation)
-    elif not force and path.exists():
-        raise InputError(f"{path}: exists already; --force overwrites it, --resume continues it")
-    elif not force and partial.exists():
-        raise InputError(f"{partial}: is left from an interrupted run; --resume continues it, --force begins anew")
-    try:
-        file = partial.open("r+b" if resume and partial.exists() else "wb")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
-    try:
-        with file:
-            file.write(content)
-            file.truncate()
-
-            def write(record: "PoseRecord") -> None:
-                file.write(f"{record.to_json()}\n".encode("ascii"))
-                file.flush()
-
-            yield kept, write
-            os.fsync(file.fileno())
-        partial.replace(path)
-    finally:
-        if partial.exists() and partial.stat().st_size == 0:
-            partial.unlink()
-
-
 def spare_what_is_read(output: Path, read: Iterable[str | Path]) -> None:
     """Refuse to write over an input or the rig, or over what is no regular file, whatever was forced."""
     target = output.resolve()
-    if any(Path(name).resolve() == target for name in read):
+    # Tens of thousands of names take a while to resolve; a file that is not there is none of those that are read.
+    if target.exists() and any(Path(name).resolve() == target for name in read):
         raise InputError(f"{output}: is read in this run; name another file to write")
     if target.exists() and not target.is_file() and not target.is_dir():
         raise InputError(f"{output}: is not a regular file; leave -o out to write to standard output")
@@ -163,31 +94,16 @@ def spare_inputs(written: Iterable[Path], read: Iterable[str | Path]) -> None:
             raise InputError(f"{source}: is read in this run and would be written over; name another output folder")
 
 
-def _kept(path: Path, inputs: Sequence[str], formulation: str) -> tuple[list["PoseRecord"], bytes]:
-    """Return the complete records of a file, and the bytes they take; a last line that was cut off is left out."""
-    from planeopt.record import record_from_json
+def names_in(path: Path) -> list[str]:
+    """Return the names that a file lists, one a line, or standard input where the path is ``-``.
 
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
     try:
-        lines = path.read_bytes().splitlines(keepends=True) if path.exists() else []
+        content = sys.stdin.buffer.read() if str(path) == "-" else path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    if lines and not lines[-1].endswith(b"\n"):
-        lines.pop()
-    if len(lines) > len(inputs):
-        raise InputError(f"{path}: holds {len(lines)} records, but {len(inputs)} inputs were given; see --force")
-    kept = []
-    for number, (line, name) in enumerate(zip(lines, inputs, strict=False), start=1):
-        try:
-            record = record_from_json(line)
-        except InputError as error:
-            raise InputError(f"{path}, line {number}: {error}; see --force") from error
-        if record.input != name:
-            raise InputError(
-                f"{path}, line {number}: is the record of {record.input!r}, not of {name!r}: --resume needs the same "
-                "inputs in the same order; see --force"
-            )
-        if record.formulation not in (None, formulation):
-            asked = f"but {formulation} was asked for; see --force"
-            raise InputError(f"{path}, line {number}: is a record of {record.formulation}, {asked}")
-        kept.append(record)
-    return kept, b"".join(lines)
+    return [os.fsdecode(line) for line in content.splitlines() if line.strip()]

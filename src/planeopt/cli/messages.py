@@ -58,7 +58,9 @@ def tables() -> "Console":
     return Console(width=None if sys.stdout.isatty() else PLAIN_WIDTH)
 
 
-def report(records: Iterable[Record], total: int, task: str, *, quiet: bool = False) -> int:
+def report(
+    records: Iterable[Record], total: int, task: str, *, kept: Iterable[Record] = (), quiet: bool = False
+) -> int:
     """Go through records as they come: progress where someone watches, what is wrong with which input, exit status.
 
     Parameters
@@ -68,6 +70,8 @@ def report(records: Iterable[Record], total: int, task: str, *, quiet: bool = Fa
         How many there will be.
     task : str
         What the progress bar is called.
+    kept : iterable of Record
+        Those that an earlier run left: counted and told of like the others, before them, but no part of the pace.
     quiet : bool
         No progress bar, even at a terminal.
     """
@@ -76,11 +80,17 @@ def report(records: Iterable[Record], total: int, task: str, *, quiet: bool = Fa
     console = Console(stderr=True)
     counts: Counter[str] = Counter()
     last = None
-    with _bar(console, task, total, quiet=quiet) as advance:
+
+    def tell(record: Record) -> None:
+        counts[record.status] += 1
+        if record.status == "error":
+            _say(console, record.message)
+
+    for last in kept:
+        tell(last)
+    with _bar(console, task, total, done=counts.total(), quiet=quiet) as advance:
         for last in records:
-            counts[last.status] += 1
-            if last.status == "error":
-                _say(console, last.message)
+            tell(last)
             advance()
     if last is not None and (counts["degraded"] or counts["refused"]):
         tally = ", ".join(f"{count} {status}" for status, count in sorted(counts.items()))
@@ -90,18 +100,31 @@ def report(records: Iterable[Record], total: int, task: str, *, quiet: bool = Fa
 
 
 @contextmanager
-def _bar(console: "Console", task: str, total: int, *, quiet: bool) -> Iterator[Callable[[], None]]:
+def _bar(console: "Console", task: str, total: int, *, done: int, quiet: bool) -> Iterator[Callable[[], None]]:
     """Yield what to call after each step: it moves a bar where someone watches, and does nothing elsewhere."""
-    from rich.progress import Progress
+    from planeopt.cli.progress import bar
 
     if quiet or not console.is_terminal:
         # A bar that is disabled leaves an empty line behind where there is no terminal, in rich's older versions.
         yield lambda: None
         return
-    # Standard output is the results': rich would send it through the console of standard error.
-    with Progress(console=console, transient=True, redirect_stdout=False, redirect_stderr=False) as progress:
-        bar = progress.add_task(task, total=total)
-        yield lambda: progress.advance(bar)
+    with bar(console) as progress:
+        # What was done before counts as done, but says nothing of the pace.
+        number = progress.add_task(task, total=total, completed=done)
+        yield lambda: progress.advance(number)
+
+
+@contextmanager
+def doing(what: str) -> Iterator[None]:
+    """Say what is being done, where someone watches, until it is done."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield
+        return
+    with console.status(what):
+        yield
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 import math
 import shlex
 from collections.abc import Iterator, Sequence
-from concurrent.futures import BrokenExecutor
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,8 +12,8 @@ from cyclopts.types import NonNegativeInt, PositiveFloat, PositiveInt
 
 from planeopt.cli.clock import now
 from planeopt.cli.files import output_folder, spare_inputs
+from planeopt.cli.messages import doing, tables
 from planeopt.cli.messages import report as go_through
-from planeopt.cli.messages import tables
 from planeopt.cli.rigs import load_measuring_rig
 from planeopt.cli.tables import table
 from planeopt.cli.times import read_times
@@ -41,6 +41,7 @@ def report(
     times: Path | None = None,
     dark: Path | None = None,
     jobs: PositiveInt = 1,
+    dask: str | None = None,
     force: _Switch = False,
 ) -> int:
     """Measure the plane in each input and report on it: DIR/report.html, DIR/report.pdf, DIR/poses.json.
@@ -78,13 +79,15 @@ def report(
     dark
         An image of the same view with the laser off, to be subtracted from each image.
     jobs
-        Processes to work in.
+        Processes to work in; with --dask local, workers of the cluster.
+    dask
+        Work on a Dask cluster: the address of its scheduler, or "local" for one of this machine.
     force
         Write into an existing folder.
     """
     from planeopt.batch import Search
     from planeopt.estimation.sequence import Positions
-    from planeopt.executors import processes
+    from planeopt.executors import workers
     from planeopt.report.build import FILES, assemble
     from planeopt.report.examine import Options, examine_many
     from planeopt.report.provenance import provenance
@@ -125,12 +128,11 @@ def report(
     came = provenance(rig, command=command, seed=seed, when=when)
     with output_folder(output, force=force) as folder:
         examined: list[Examined] = []
-        with processes(jobs) as executor:
-            try:
-                found = kept_as_they_come(examine_many(inputs, loaded, options, executor=executor), examined)
-                status = go_through(found, len(inputs), "report")
-            except BrokenExecutor as error:
-                raise InputError("a worker process died, for lack of memory perhaps: try fewer --jobs") from error
+        with ExitStack() as opened:
+            with doing("starting workers"):
+                executor = opened.enter_context(workers(jobs, dask))
+            found = kept_as_they_come(examine_many(inputs, loaded, options, executor=executor), examined)
+            status = go_through(found, len(inputs), "report")
         made = assemble(examined, loaded, came, options, combined=combine, positions=positions)
         made.write(folder)
     _show(made.file, output)

@@ -165,7 +165,11 @@ class Pool(Executor):
                 task.future.set_result(result)
                 return worker
             if self._abandoned or self._lost_in_a_row >= IN_A_ROW:
-                task.future.set_exception(BrokenExecutor("worker processes die whatever they do"))
+                task.future.set_exception(
+                    BrokenExecutor(
+                        "worker processes die one after the other, for lack of memory perhaps: try fewer --jobs"
+                    )
+                )
                 return None
         self._lost_in_a_row += 1
         task.future.set_exception(WorkerLost(f"a worker process died over it {ATTEMPTS} times: for lack of memory?"))

@@ -11,10 +11,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from planeopt.batch import UNFORESEEN, Measurement, Search, StrPath, measure
+from planeopt.batch import UNFORESEEN, Measurement, Search, StrPath, measure, worker_lost
 from planeopt.comparison import compare
 from planeopt.errors import InputError
-from planeopt.executors import ordered_map
+from planeopt.executors import WorkerLost, ordered_map
 from planeopt.posterior import Posterior, Prior, sample_posterior
 from planeopt.posterior.record import PosteriorRecord, posterior_record
 from planeopt.report.content import Figure, Picture
@@ -115,7 +115,15 @@ def examine_many(
     executor : Executor, optional
         Where the work is done; in this process unless given.
     """
-    return ordered_map(partial(examine, rig=rig, options=options or Options()), paths, executor)
+    return ordered_map(partial(examine, rig=rig, options=options or Options()), paths, executor, lost=_lost)
+
+
+def _lost(path: StrPath, reason: WorkerLost) -> Examined:
+    """Return what is known of a file over which workers died."""
+    record = report_record(
+        worker_lost(path, reason), first_order=FirstOrder(), posterior=None, missing=None, comparison=()
+    )
+    return Examined(record, None, ())
 
 
 def examine(path: StrPath, rig: Rig, options: Options) -> Examined:
