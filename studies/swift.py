@@ -1,0 +1,58 @@
+"""What does the rising weight of SWIFT do, in both readings of its penalty function (29)?
+
+1. **The weight.** With J = 0 and all ten equations penalised, as printed: does it move the minimiser? With the image
+   block as the objective and the laser block penalised: how fast does the beam's equation come to hold, and what does
+   it do to the error?
+2. **Schedules.** A constant weight, a fast, a geometric and a slow one, from light and heavy beginnings: where do they
+   end, after how many evaluations, beside IPOPT and SQP on the same programme from the same start?
+3. **Accuracy.** How do the distances to the minimiser and to the truth fall with the work?
+
+All searches of a problem have the same start, bounds, sizes of unknowns and compiled functions.
+"""
+
+from concurrent.futures import Executor
+
+from studies.study import Mode, Result
+from studies.swift_figures import paths_figure, schedules_figure, weights_figure, work_figure
+from studies.swift_paths import accuracies, paths, valley
+from studies.swift_runs import run_all
+from studies.swift_summary import Tables, ends_of, finding, headline, numbers, reached
+from studies.swift_weights import tolerances, weigh
+
+
+def run(mode: Mode, executor: Executor | None = None) -> Result:
+    """Answer the three questions."""
+    runs = run_all(mode, executor)
+    work = accuracies(mode, executor)
+    tables = Tables(
+        runs,
+        ends_of(runs),
+        weigh(mode, executor),
+        tolerances(mode, executor),
+        work,
+        reached(work),
+        paths(),
+        valley(mode),
+    )
+    said = numbers(tables)
+    return Result(
+        tables={
+            "runs": tables.runs,
+            "ends": tables.ends,
+            "weights": tables.weights,
+            "tolerances": tables.tolerances,
+            "work": tables.work,
+            "reached": tables.reached,
+            "paths": tables.paths,
+            "valley": tables.valley,
+        },
+        headline=headline(said),
+        finding=finding(tables, said),
+        figures={
+            "weights": weights_figure(tables, said),
+            "schedules": schedules_figure(tables, said),
+            "work": work_figure(tables, said),
+            "paths": paths_figure(tables, said),
+        },
+        numbers=said,
+    )
