@@ -1,4 +1,4 @@
-"""Does maximum likelihood reach the Cramér-Rao bound, wherever the criterion says that it can be reached?
+"""How far from the Cramér-Rao bound are maximum likelihood, each conic fit and each formulation, and where?
 
 1. **Efficiency.** Over planes tilted 0 to 70 degrees, 100 to 1,000 mm away, beams 0 to 40 mm off the camera with radii
    of 10 and 2.5 mm, boundary noise of 0.05 to 1 px on 30 to 100 % of the ellipse (200 points): is the RMS error of
@@ -6,23 +6,42 @@
    `planeopt.estimation.efficiency`?
 2. **The criterion.** Are the cells where it is larger those that the criterion marks, by the true plane, and by the
    answers themselves?
+3. **Conic fits.** Against noise, tilt, depth, arc, number of points and offset, one at a time about a base case: what
+   do planes of the closed form lose, by either route, from the ellipses of each conic fit, OpenCV's included?
+4. **Formulations.** Along the same axes, with the same points: what does each formulation lose?
 """
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
 
-from studies.efficiency_cells import run_cells
+from studies import efficiency_summary as grid
+from studies import efficiency_sweep_summary as sweeps
+from studies.efficiency_cells import CellRow, run_cells
 from studies.efficiency_figure import efficiency_figure
-from studies.efficiency_summary import finding, headline, verdicts
+from studies.efficiency_fits import FitRow, run_fits
+from studies.efficiency_formulations import FormulationRow, run_formulations
+from studies.efficiency_sweep_figures import fits_figure, formulations_figure
 from studies.study import Mode, Result
 
 
 def run(mode: Mode, executor: Executor | None = None) -> Result:
-    """Answer both questions."""
-    cells = run_cells(mode, executor)
-    found = verdicts(cells)
+    """Answer the four questions."""
+    return result_of(run_cells(mode, executor), run_fits(mode, executor), run_formulations(mode, executor))
+
+
+def result_of(cells: Sequence[CellRow], fits: Sequence[FitRow], formulations: Sequence[FormulationRow]) -> Result:
+    """Judge, draw and put into words what was measured."""
+    found = grid.verdicts(cells)
+    of_grid, of_axes = grid.numbers(found), sweeps.numbers(fits, formulations) | sweeps.base_numbers()
+    finding = "\n".join([grid.finding(cells, found), "", *sweeps.finding(fits, formulations)])
     return Result(
-        tables={"cells": cells, "verdicts": found},
-        headline=headline(found),
-        finding=finding(cells, found),
-        figures={"efficiency": efficiency_figure(cells, found)},
+        tables={"cells": cells, "verdicts": found, "fits": fits, "formulations": formulations},
+        headline=f"{grid.headline(of_grid)} {sweeps.headline(of_axes)}",
+        finding=finding,
+        figures={
+            "efficiency": efficiency_figure(cells, found),
+            "fits": fits_figure(fits, sweeps.fits_heading(fits)),
+            "formulations": formulations_figure(formulations, sweeps.formulations_heading(formulations)),
+        },
+        numbers=of_grid | of_axes,
     )

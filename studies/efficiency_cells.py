@@ -32,7 +32,7 @@ NOISES_PX = (0.05, 0.2, 1.0)
 ARCS = (1.0, 0.6, 0.3)
 OFFSETS_MM = (0.0, 15.0, 40.0)
 
-DRAWS: dict[Mode, int] = {"full": 2000, "quick": 200}
+DRAWS: dict[Mode, int] = {"full": 2000, "quick": 100}
 _NOTICED = 100
 
 _FAR = 3.0
@@ -104,7 +104,7 @@ class Job:
 def cells_of(mode: Mode) -> list[Cell]:
     """Return the grid; quick: every so many cells of it, so that each value of each axis is there."""
     cells = [Cell(*values) for values in product(RADII_MM, TILTS_DEG, DEPTHS_MM, NOISES_PX, ARCS, OFFSETS_MM)]
-    return cells if mode == "full" else cells[::13]
+    return cells if mode == "full" else cells[::23]
 
 
 def run_cells(mode: Mode, executor: Executor | None) -> list[CellRow]:
@@ -134,19 +134,19 @@ def draw_truth(cell: Cell, rng: np.random.Generator) -> Truth:
         clear = cell.depth_mm - cell.radius_mm * slope > 0.1 * cell.depth_mm
         if clear and eq.lit_side_in_slopes(np, v, setup) > 0.1 * cell.depth_mm:
             phi = begin + 2 * np.pi * cell.arc * (np.arange(N_POINTS) + 0.5) / N_POINTS
-            points, tangents = _curve(v, setup, phi)
-            normals = np.stack([tangents[:, 1], -tangents[:, 0]], axis=1)
-            return Truth(setup, np.array(v[1:]), points, normals / np.linalg.norm(normals, axis=1)[:, None])
+            return Truth(setup, np.array(v[1:]), *outline(v, setup, phi))
     raise RuntimeError(f"no such plane can be seen: {cell}")
 
 
-def _curve(v: eq.SlopeVariables, setup: eq.Setup, phi: Array) -> tuple[Array, Array]:
-    """(5) of (3) at angles round the beam, (N, 2), and its derivative by the angle."""
+def outline(v: eq.SlopeVariables, setup: eq.Setup, phi: Array) -> tuple[Array, Array]:
+    """(5) of (3) at angles (N,) round the beam: points (N, 2), mm, and unit normals there, outwards."""
     x, y, z = eq.spot_point_in_slopes(np, v, setup, phi)
     dx, dy = -setup.r * np.sin(phi), setup.r * np.cos(phi)
     points = setup.f * np.stack([x, y], axis=1) / z[:, None]
     dz = v.p * dx + v.q * dy
-    return points, (setup.f * np.stack([dx, dy], axis=1) - points * dz[:, None]) / z[:, None]
+    tangents = (setup.f * np.stack([dx, dy], axis=1) - points * dz[:, None]) / z[:, None]
+    normals = np.stack([tangents[:, 1], -tangents[:, 0]], axis=1)
+    return points, normals / np.linalg.norm(normals, axis=1)[:, None]
 
 
 def measure(job: Job) -> CellRow:

@@ -1,6 +1,6 @@
 """What the efficiency study says, made from its cells."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,19 +86,39 @@ def _verdict(name: str, rows: Sequence[CellRow], tests: int) -> VerdictRow:
     )
 
 
-def headline(found: Sequence[VerdictRow]) -> str:
-    """Say it in a sentence."""
+def numbers(found: Sequence[VerdictRow]) -> dict[str, float]:
+    """Return the headline's numbers: from `verdicts.csv`, its rows within and beyond the criterion."""
     within = found[0]
+    said: dict[str, float] = {
+        "cells_within": within.cells,
+        "over_bound_within": within.pooled_over_bound,
+        "worst_over_bound_within": within.worst_over_bound,
+        "cells_above_within": within.above,
+        "asked_over_bound": EFFICIENT,
+    }
+    for beyond in found[1:]:
+        said |= {
+            "cells_above_beyond": beyond.above,
+            "cells_beyond": beyond.cells,
+            "worst_over_bound_beyond": beyond.worst_over_bound,
+        }
+    return said
+
+
+def headline(n: Mapping[str, float]) -> str:
+    """Say it in a sentence."""
     said = (
-        f"Where the criterion says that the Cramér-Rao bound can be reached ({within.cells} cells), the error of "
-        f"maximum likelihood over the bound is {within.pooled_over_bound:.4f} over all draws, "
-        f"{within.worst_over_bound:.3f} in the worst cell, and {within.above} cells are above {EFFICIENT} by more than "
-        "chance"
+        f"Where the criterion says that the Cramér-Rao bound can be reached ({n['cells_within']:.0f} cells), the error "
+        f"of maximum likelihood over the bound is {n['over_bound_within']:.4f} over all draws, "
+        f"{n['worst_over_bound_within']:.3f} in the worst cell, and {n['cells_above_within']:.0f} cells are above "
+        f"{n['asked_over_bound']:g} by more than chance"
     )
-    if len(found) == 1:
+    if "cells_beyond" not in n:
         return f"{said}."
-    beyond = found[1]
-    return f"{said}; beyond it {beyond.above} of {beyond.cells} cells are, the worst at {beyond.worst_over_bound:.2g}."
+    return (
+        f"{said}; beyond it {n['cells_above_beyond']:.0f} of {n['cells_beyond']:.0f} cells are, the worst at "
+        f"{n['worst_over_bound_beyond']:.1f}."
+    )
 
 
 def finding(rows: Sequence[CellRow], found: Sequence[VerdictRow]) -> str:
@@ -106,7 +126,7 @@ def finding(rows: Sequence[CellRow], found: Sequence[VerdictRow]) -> str:
     lines = [
         "# Maximum likelihood at the Cramér-Rao bound",
         "",
-        f"**The bound is reached.** {headline(found)}",
+        f"**The bound is reached.** {headline(numbers(found))}",
         "",
         "| criterion | cells | draws | without a plane | over the bound: all draws | median cell | worst cell | "
         f"above {EFFICIENT} | below the bound | isotropic noise, worst | least coverage of 95 % | flagged |",
