@@ -63,6 +63,8 @@ def design_chart(
     over_distance = predict(rig, plane_at(rig, distance[:, None, None], tilts[:, None], toward), quality)
     middle = float(np.sqrt(near * far))
     reference = plane_at(rig, middle, tilts[-1], toward)
+    levers = [lever for lever in RIG_LEVERS if lever != "offset" or any(rig.require_beam().offset)]
+    over_factors = {lever: with_factors(rig, reference, quality, lever, _FACTORS) for lever in levers}
     with mpl.rc_context(_STYLE):
         made = Figure(figsize=(10.5, 7.5), layout="constrained", dpi=130)
         made.suptitle(_heading(over_distance, distance), x=0.01, ha="left", fontsize=12, fontweight="bold")
@@ -76,10 +78,8 @@ def design_chart(
                 _line(top, distance, scale * one[0], one[1], look, f"tilt {tilt:g}°", every=8)
             top.set(title=f"standard deviation of {unit.split(',')[0]}, worst direction of tilt")
             top.set(xlabel="distance along the beam, mm", ylabel=unit, yscale="log")
-            for lever, look in zip(RIG_LEVERS, LOOKS, strict=True):
-                if lever == "offset" and not any(rig.require_beam().offset):
-                    continue
-                one = _worst(with_factors(rig, reference, quality, lever, _FACTORS), name, np.s_[:])
+            for (lever, found), look in zip(over_factors.items(), LOOKS, strict=False):
+                one = _worst(found, name, np.s_[:])
                 _line(bottom, _FACTORS, scale * one[0], one[1], look, LEVER_NAMES[lever], every=6)
             bottom.set(title=f"what helps, at {middle:.4g} mm, {tilts[-1]:g}°: each by itself times a factor")
             bottom.set(xlabel="factor", ylabel=unit, yscale="log", xscale="log")

@@ -31,7 +31,9 @@ def quality_levers(quality: Quality) -> tuple[str, ...]:
     return ("noise", "contrast", "blur_px") if isinstance(quality, Pixels) else ("sigma_px",)
 
 
-def with_factors(rig: Rig, planes: Array, quality: Quality, lever: str, factors: ArrayLike) -> Prediction:
+def with_factors(
+    rig: Rig, planes: Array, quality: Quality, lever: str, factors: ArrayLike, *, criterion: bool = True
+) -> Prediction:
     """Predict with one of `RIG_LEVERS` multiplied.
 
     Parameters
@@ -41,6 +43,8 @@ def with_factors(rig: Rig, planes: Array, quality: Quality, lever: str, factors:
     quality : Pixels or Points
     lever : str
     factors : (...)
+    criterion : bool
+        As of `predict`.
 
     Returns
     -------
@@ -51,8 +55,8 @@ def with_factors(rig: Rig, planes: Array, quality: Quality, lever: str, factors:
     if lever == "distance":
         far = np.broadcast_to(planes, (*factor.shape[:-1], *planes.shape)).copy()
         far[..., 0] *= factor
-        return predict(rigs, far, quality)
-    return predict(rigs.scaled(lever, factor), planes, quality)
+        return predict(rigs, far, quality, criterion=criterion)
+    return predict(rigs.scaled(lever, factor), planes, quality, criterion=criterion)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,10 +90,10 @@ def sensitivities(rig: Rig, planes: ArrayLike, quality: Quality) -> tuple[Sensit
     made = []
     for lever in (*RIG_LEVERS, *quality_levers(quality)):
         if lever in RIG_LEVERS:
-            both = with_factors(rig, wanted, quality, lever, step)
+            both = with_factors(rig, wanted, quality, lever, step, criterion=False)
             sigmas = [(both.z_L_mm[i], both.normal_deg[i]) for i in range(2)]
         else:
-            ends = [predict(rig, wanted, quality.scaled(lever, factor)) for factor in step]
+            ends = [predict(rig, wanted, quality.scaled(lever, factor), criterion=False) for factor in step]
             sigmas = [(end.z_L_mm, end.normal_deg) for end in ends]
         rates = [np.log(more / less) / (2 * _STEP) for more, less in zip(*sigmas, strict=True)]
         made.append(Sensitivity(lever, *rates))
@@ -157,7 +161,7 @@ def smallest(
     wanted = np.asarray(planes, dtype=float)
 
     def worst(factor: ArrayLike) -> tuple[Array, NDArray[np.bool_], Prediction]:
-        found = with_factors(rig, wanted, quality, lever, factor)
+        found = with_factors(rig, wanted, quality, lever, factor, criterion=False)
         over = np.maximum(found.z_L_mm / depth_mm, found.normal_deg / normal_deg)
         return np.max(over, axis=-1), np.all(found.visible, axis=-1), found
 
@@ -168,20 +172,22 @@ def smallest(
         best = int(np.argmin(usable))
         if not visible[best]:
             return Smallest(lever, None, np.nan, None, "with none that was tried can all planes be measured")
-        beyond = np.flatnonzero(~visible & (over <= 1))
-        reason = "nothing from 1/20 to 20 times the present one is enough"
-        if len(beyond):
-            why = found.views[beyond[0]][~found.visible[beyond[0]]][0]
-            reason = f"what would be enough cannot be used: {why}"
+        reason = "of all that were tried, 1/20 to 20 times the present one, this is the best"
+        if best + 1 < len(_FACTORS) and not visible[best + 1]:
+            reason = f"larger ones cannot be used: {_why_not(found, best + 1)}"
         return Smallest(lever, None, float(over[best]), float(_FACTORS[best]), reason)
     first = int(good[0])
     if first == 0:
         return Smallest(lever, float(_FACTORS[0]), float(over[0]), float(_FACTORS[0]), "the smallest that was tried")
     if not visible[first - 1]:
-        why = found.views[first - 1][~found.visible[first - 1]][0]
         factor = float(_FACTORS[first])
-        return Smallest(lever, factor, float(over[first]), factor, f"smaller ones cannot be used: {why}")
+        reason = f"smaller ones cannot be used: {_why_not(found, first - 1)}"
+        return Smallest(lever, factor, float(over[first]), factor, reason)
     below, above = np.log(_FACTORS[first - 1 : first + 1]).tolist()
     found_at: Any = scipy.optimize.brentq(lambda x: float(np.log(worst(np.exp(x))[0])), below, above, xtol=1e-9)
     factor = float(np.exp(found_at))
     return Smallest(lever, factor, float(worst(factor)[0]), factor, "what is wanted is just reached")
+
+
+def _why_not(found: Prediction, which: int) -> str:
+    return str(found.views[which][~found.visible[which]][0])

@@ -180,7 +180,9 @@ def plane_at(rig: Rig | Rigs, distance_mm: ArrayLike, tilt_deg: ArrayLike, towar
     return np.stack(np.broadcast_arrays(distance, slope * np.cos(azimuth), slope * np.sin(azimuth)), axis=-1)
 
 
-def predict(rig: Rig | Rigs, planes: ArrayLike, quality: Quality, *, angles: int = ANGLES) -> Prediction:
+def predict(
+    rig: Rig | Rigs, planes: ArrayLike, quality: Quality, *, angles: int = ANGLES, criterion: bool = True
+) -> Prediction:
     """Predict what planes will be measured with.
 
     Parameters
@@ -193,6 +195,9 @@ def predict(rig: Rig | Rigs, planes: ArrayLike, quality: Quality, *, angles: int
         How well the boundary is seen.
     angles : int
         Places on the arc.
+    criterion : bool
+        False leaves `excess` out, which takes most of the time where rigs are many: it is NaN, and no plane is
+        `View.BEYOND`.
 
     Raises
     ------
@@ -207,7 +212,9 @@ def predict(rig: Rig | Rigs, planes: ArrayLike, quality: Quality, *, angles: int
     except ValueError as error:
         raise InputError(f"rigs {rigs.numbers.shape[:-1]} and planes {wanted.shape[:-1]} do not broadcast") from error
     numbers = np.broadcast_to(rigs.numbers, (*shape, len(NUMBERS))).reshape(-1, len(NUMBERS))
-    flat = _predicted(numbers, np.broadcast_to(wanted, (*shape, 3)).reshape(-1, 3), rigs, quality, angles)
+    flat = _predicted(
+        numbers, np.broadcast_to(wanted, (*shape, 3)).reshape(-1, 3), rigs, quality, angles, criterion=criterion
+    )
     parts: dict[str, Any] = {name: value.reshape((*shape, *value.shape[1:])) for name, value in vars(flat).items()}
     for value in parts.values():
         value.setflags(write=False)
@@ -222,7 +229,7 @@ def _rigs(rig: Rig | Rigs) -> Rigs:
     return Rigs.of(rig) if isinstance(rig, Rig) else rig
 
 
-def _predicted(numbers: Array, planes: Array, rigs: Rigs, quality: Quality, n: int) -> Prediction:
+def _predicted(numbers: Array, planes: Array, rigs: Rigs, quality: Quality, n: int, *, criterion: bool) -> Prediction:
     offset = laser_offsets(numbers)
     in_laser_frame = planes + np.pad(offset[:, 2:], ((0, 0), (0, 2)))
     setup = eq.Setup(numbers[:, 0] * rigs.pitch_mm, offset[:, 0], offset[:, 1], numbers[:, NUMBERS.index("radius")])
@@ -242,14 +249,14 @@ def _predicted(numbers: Array, planes: Array, rigs: Rigs, quality: Quality, n: i
         axis = minor_axes(setup, in_laser_frame) / rigs.pitch_mm
     border = np.minimum(seen.pixels + 0.5, rigs.image_size - 0.5 - seen.pixels)
     margin = np.min(border, axis=(-1, -2), initial=np.inf, where=np.isfinite(border))
-    excess = _excess(numbers, in_laser_frame, spot, seen, weight, noise.point_sigma, rigs, ~gone)
+    excess = _excess(numbers, in_laser_frame, spot, seen, weight, noise.point_sigma, rigs, ~gone & criterion)
     tests = (
         behind,
         ~lit,
         ~seen.unfolded,
         ~(margin >= quality.margin_px),
         ~(axis >= quality.least_axis_px),
-        ~(excess <= 1),
+        ~(excess <= 1) & criterion,
     )
     codes = np.select(tests, range(len(tests)), len(tests))
 

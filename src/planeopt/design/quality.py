@@ -21,7 +21,8 @@ LEAST_WIDTHS = 1.5
 MARGIN_WIDTHS = 3.0
 """Widths of the blurred edge between the boundary and the image's border."""
 
-_COSTS = np.geomspace(LEAST_WIDTHS, 300.0, 40)
+_COSTS = np.geomspace(LEAST_WIDTHS, 60.0, 24)
+# Radii in widths of the edge at which `size_cost` is computed; its excess over 1 goes with their inverse beyond.
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +118,9 @@ class Pixels:
         noise = np.hypot(self.noise, np.sqrt(PIXEL_VARIANCE))
         if self.line_mm is None:
             sigma = np.full(stretch.shape, float(boundary_sigma("disc", self.contrast, noise, self._blur)))
-            cost = np.interp(np.log(length / (2 * np.pi * self.arc * self._blur)), np.log(_COSTS), _costs())
-            return EdgeNoise(sigma, cost, sigma[:, 0])
+            widths = length / (2 * np.pi * self.arc * self._blur)
+            excess = np.exp(np.interp(np.log(widths), np.log(_COSTS), _log_costs())) / widths
+            return EdgeNoise(sigma, 1 + excess, sigma[:, 0])
         line = self.line_mm * np.abs(stretch)
         width = np.hypot(line, self._blur)
         # Blur spreads a thin line's light over its new width.
@@ -191,5 +193,6 @@ def _check_arc(arc: float, arc_deg: float) -> None:
 
 
 @cache
-def _costs() -> Array:
-    return np.array([size_cost(float(ratio), 1.0) for ratio in _COSTS])
+def _log_costs() -> Array:
+    """Logarithm of the cost's excess over 1, times the radius in widths."""
+    return np.log([(size_cost(float(widths), 1.0) - 1) * widths for widths in _COSTS])
