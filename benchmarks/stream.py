@@ -39,7 +39,7 @@ SECONDS_BETWEEN = 0.2
 
 @dataclass(frozen=True)
 class Run:
-    """What a run took: seconds by the clock and of all cores, and its processes' largest memory together, in 1e6 bytes."""
+    """What a run took: seconds by the clock and of all cores, and its processes' largest memory together, in MB."""
 
     seconds: float
     processor: float
@@ -80,7 +80,7 @@ def simulate(folder: Path, images: int, jobs: int) -> tuple[Path, Path]:
 
 
 def memory(pid: int) -> tuple[float, float]:
-    """Return resident and proportional memory of a process and all below it, MB: with what is shared in each, or once."""
+    """Return the memory of a process and all below it, MB: with what they share counted in each, and once."""
     resident = proportional = 0.0
     for process in _below(pid):
         try:

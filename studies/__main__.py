@@ -1,13 +1,15 @@
-"""Run studies: `python -m studies [NAME...] [--quick] [--jobs N] [-o DIR]`."""
+"""Run studies: `python -m studies [NAME...] [--quick] [--jobs N] [--dask ADDRESS] [-o DIR]`."""
 
 import argparse
 import importlib
 import sys
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import cast
 
-from planeopt.executors import processes
+from planeopt.errors import InputError
+from planeopt.executors import workers
 from studies.study import Study, put_headline, write
 
 STUDIES = ("image", "efficiency", "coverage", "many_images", "calibration", "rig_checks")
@@ -20,12 +22,19 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join(STUDIES)}; all unless named")
     parser.add_argument("--quick", action="store_true", help="what the tests run: few draws, seconds")
     parser.add_argument("--jobs", type=int, default=1, help="processes to work in; the results do not depend on it")
+    parser.add_argument(
+        "--dask", metavar="ADDRESS", help="work on a Dask cluster; local: one of this machine, --jobs wide"
+    )
     parser.add_argument("-o", "--output", type=Path, default=RESULTS, help="folder of the results")
     given = parser.parse_args(arguments)
     unknown = [name for name in given.names if name not in STUDIES]
     if unknown:
         parser.error(f"there is no study {unknown[0]!r}; known are {', '.join(STUDIES)}")
-    with processes(given.jobs) as executor:
+    with ExitStack() as opened:
+        try:
+            executor = opened.enter_context(workers(given.jobs, given.dask))
+        except InputError as error:
+            parser.error(str(error))
         for name in given.names or STUDIES:
             study = cast(Study, importlib.import_module(f"studies.{name}"))
             begun = time.perf_counter()
