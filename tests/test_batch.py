@@ -137,7 +137,7 @@ def test_every_name_in_a_table_chooses_its_method():
         chosen = method_named(method.formulation.name, solver)
         assert (chosen.formulation, chosen.solver) == (method.formulation, method.solver)
     assert len(set(map(str.lower, FORMULATIONS))) == len(FORMULATIONS)
-    assert set(SOLVERS) == {"Ipopt", "Sqp", "Swift"}
+    assert set(SOLVERS) == {"Ipopt", "Sqp", "Swift", "Ipopt(penalty)"}
 
 
 def test_penalty_goes_with_swift_unless_told_otherwise():

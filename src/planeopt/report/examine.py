@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planeopt.batch import UNFORESEEN, Measurement, Search, StrPath, measure, worker_lost
-from planeopt.comparison import compare
+from planeopt.comparison import Comparison, compare_problem
 from planeopt.errors import InputError
 from planeopt.executors import WorkerLost, ordered_map
+from planeopt.formulations import Problem
+from planeopt.methods import METHODS
 from planeopt.posterior import Posterior, Prior, sample_posterior
 from planeopt.posterior.record import PosteriorRecord, posterior_record
 from planeopt.report.content import Figure, Picture
@@ -182,7 +184,8 @@ def _posterior(
 
 def _comparison(spot: Spot, rig: Rig) -> tuple[Any, ...]:
     try:
-        return answers(compare(spot, rig))
+        # The pairs that suit each other; what building takes is no part of a report.
+        return answers(Comparison((compare_problem(Problem.from_spot(spot, rig), METHODS, builds=False),)))
     except (InputError, *UNFORESEEN) as error:
         _log.debug("no comparison", exc_info=error)
         return ()

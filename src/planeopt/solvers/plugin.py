@@ -80,9 +80,9 @@ def _build(model: Model, plugin: str, options: Options, more: dict[str, Any]) ->
 
 
 def prepare(nlp: Nlp, plugin: str, options: Options) -> None:
-    """Make the solver function and those that check its answer."""
-    functions(nlp.model)
+    """Make the solver function and those that check its answer, unless it would refuse."""
     if too_many_equalities(nlp) is None:
+        functions(nlp.model)
         compiled(nlp.model, plugin, options)
 
 

@@ -63,7 +63,8 @@ class Swift:
         return "Swift"
 
     def prepare(self, nlp: Nlp) -> None:
-        functions(nlp.model.penalised)
+        if len(nlp.start) <= MOST_UNKNOWNS:
+            functions(nlp.model.penalised)
 
     def solve(self, nlp: Nlp) -> Found:
         n = len(nlp.start)
