@@ -138,7 +138,8 @@ def design(
     force
         Write into an existing folder.
     """
-    from planeopt.design import design_chart, plan
+    from planeopt.design import plan
+    from planeopt.design.chart import design_chart
 
     built = {
         "--offset-mm": offset_mm,

@@ -1,6 +1,5 @@
 """What a rig could measure, before it is built: predicted standard deviations, and what would make them smaller."""
 
-from planeopt.design.chart import design_chart
 from planeopt.design.levers import Sensitivity, Smallest, sensitivities, smallest, with_factors
 from planeopt.design.planned import Plan, plan
 from planeopt.design.prediction import Prediction, View, plane_at, predict
@@ -17,7 +16,6 @@ __all__ = [
     "Sensitivity",
     "Smallest",
     "View",
-    "design_chart",
     "plan",
     "plane_at",
     "planned_rig",

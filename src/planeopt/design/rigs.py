@@ -7,12 +7,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planeopt.errors import InputError
-from planeopt.estimation.rig_part import PARAMETERS
-from planeopt.rig import Beam, Camera, Rig, RigCovariance
+from planeopt.rig import PARAMETERS, Beam, Camera, Rig, RigCovariance
 
 Array = NDArray[np.float64]
 
-NUMBERS = PARAMETERS
+NUMBERS = tuple(name for name in PARAMETERS if name != "f")
 """fx, fy, cx, cy, k1, k2, p1, p2, k3 (px and 1), e_x, e_y, radius (mm), direction_x, direction_y (1)."""
 
 _PLACE = {name: (place,) for place, name in enumerate(NUMBERS)}
