@@ -57,6 +57,14 @@ def test_the_laser_block_has_rank_one_at_every_feasible_plane() -> None:
         assert found.null_vector is None
 
 
+@pytest.mark.parametrize("degrees", [-135.0, -90.0, -45.0, 0.0, 45.0, 90.0, 135.0, 180.0])
+def test_laser_rows_that_vanish_repeat_the_others(degrees: float) -> None:
+    """At these azimuths ``sin(2 beta)`` or ``cos(2 beta)`` is zero but for rounding."""
+    v = WORKED._replace(alpha=math.radians(30), R=WORKED_SETUP.r / math.cos(math.radians(30)), z_L=100.0)
+    found = identified(v._replace(beta=math.radians(degrees)), WORKED_SETUP)
+    assert (found.laser_rank, len(found.dependent_rows)) == (1, 4)
+
+
 def test_the_laser_rows_are_multiples_of_one_row() -> None:
     """The proof behind the rank: at a feasible plane the five gradients are `laser_factors` times one gradient."""
     for v, k in feasible_cases(20, seed=2):

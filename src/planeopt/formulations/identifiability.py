@@ -69,6 +69,8 @@ def _dependent(laser: Array) -> tuple[str, ...]:
     """Rows of the laser block that repeat one before them; rows that hardly change there (sin 2 beta = 0) come last."""
     length = np.linalg.norm(laser, axis=1)
     order = np.argsort(length < 0.1 * length.max(), kind="stable")
+    # A row that vanishes there but for rounding has no direction of its own.
+    laser = np.where(length[:, None] > RANK_TOLERANCE * length.max(), laser, 0.0)
     kept: list[int] = []
     for i in order:
         if len(independent_rows(laser[[*kept, i]], RANK_TOLERANCE)) > len(kept):
