@@ -51,6 +51,8 @@ class Deviation:
         covariance, over 4.
     own : float
         That of all five, with the covariance that the points' own sigma claims, over 5: chi-squared if that is honest.
+    variance : float
+        Mean squared distance of the points about `bias`, px^2.
     """
 
     bias: float
@@ -59,6 +61,7 @@ class Deviation:
     size: float
     shape: float
     own: float
+    variance: float
 
 
 def deviation(spot: Spot, offsets: Array, lit: Lit) -> Deviation:
@@ -90,6 +93,7 @@ def deviation(spot: Spot, offsets: Array, lit: Lit) -> Deviation:
         size=bias**2 / least_variance,
         shape=_squared(waves, offsets - bias, least),
         own=_squared(design, offsets, spot.sigma),
+        variance=float(np.mean((offsets - bias) ** 2)),
     )
 
 

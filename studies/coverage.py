@@ -1,4 +1,4 @@
-"""Do 95 % intervals hold the truth in 95 % of cases, and 68 % intervals in 68 %?
+"""Do 95 % intervals, of first order (Laplace) and sampled (emcee), hold the truth in 95 % of cases, and 68 % in 68 %?
 
 Planes are drawn from the prior, rigs at random, half of them known only as well as a calibration's covariance says.
 
@@ -23,7 +23,7 @@ from studies.coverage_figures import coverage_figure, rank_figure, rig_figure
 from studies.coverage_images import ImageRow, run_images
 from studies.coverage_points import SetRow, run_points
 from studies.coverage_rig import WrongRigRow, run_wrong_rig
-from studies.coverage_summary import IMAGES, POINTS, finding, groups_of, headline, judge
+from studies.coverage_summary import IMAGES, POINTS, finding, groups_of, headline, judge, numbers
 from studies.study import Mode, Result
 
 
@@ -39,7 +39,7 @@ class _Size:
     uncertain_sampled: int
 
 
-_SIZES = {"full": _Size(40, 25, 25, 220, 200, 100), "quick": _Size(10, 40, 3, 8, 100, 12)}
+_SIZES = {"full": _Size(40, 25, 25, 205, 200, 100), "quick": _Size(4, 30, 1, 2, 60, 2)}
 
 
 def run(mode: Mode, executor: Executor | None = None) -> Result:
@@ -55,14 +55,15 @@ def result_of(points: Sequence[SetRow], images: Sequence[ImageRow], wrong_rig: S
     """Judge, draw and put into words what was simulated."""
     coverage, ranks = judge(groups_of(points, images, wrong_rig))
     main: dict[str, Sequence[Checks]] = {POINTS: points, IMAGES: images}
-    tests = len(coverage) + len(ranks)
+    tests, said = len(coverage) + len(ranks), numbers(points, images, coverage, ranks)
     return Result(
         tables={"sets": points, "images": images, "wrong_rig": wrong_rig, "coverage": coverage, "ranks": ranks},
-        headline=headline(points, images, coverage, ranks),
+        headline=headline(said),
         finding=finding(points, images, coverage, ranks),
         figures={
             "coverage": coverage_figure(main, coverage, tests),
             "ranks": rank_figure(main, ranks, tests),
             "wrong_rig": rig_figure(wrong_rig, coverage),
         },
+        numbers=said,
     )

@@ -12,7 +12,7 @@ from studies.coverage_checks import LEVELS, RANKS, UNRANKED, Checks, covered
 from studies.coverage_draws import QUANTITIES
 from studies.coverage_images import ImageRow
 from studies.coverage_points import SetRow
-from studies.coverage_rig import COUNTED, IGNORED, WrongRigRow
+from studies.coverage_rig import COUNTED, IGNORED, OFFSET_SIGMA_MM, WrongRigRow
 from studies.outline import Array
 from studies.statistics import LEVEL, binomial_limits, uniform_p
 
@@ -139,7 +139,21 @@ def bins_for(sets: int) -> int:
 
 
 POINTS, IMAGES = "point sets", "images"
+WITHOUT, WITH = "rig without covariance", "rig with covariance"
 UNCERTAIN, IGNORING = "offset known to 0.04 mm, counted", "offset known to 0.04 mm, ignored"
+
+_SAID = (
+    ("posterior_sets", POINTS, "posterior"),
+    ("posterior_images", IMAGES, "posterior"),
+    ("laplace_sets", POINTS, "Laplace"),
+    ("laplace_images", IMAGES, "Laplace"),
+    ("posterior_with_covariance", WITH, "posterior"),
+    ("laplace_with_covariance", WITH, "Laplace"),
+    ("posterior_without_covariance", WITHOUT, "posterior"),
+    ("laplace_without_covariance", WITHOUT, "Laplace"),
+    ("posterior_ignored", IGNORING, "posterior"),
+)
+"""What the headline says of which group, by which method."""
 
 
 def groups_of(points: Sequence[SetRow], images: Sequence[ImageRow], wrong_rig: Sequence[WrongRigRow]) -> Groups:
@@ -148,29 +162,58 @@ def groups_of(points: Sequence[SetRow], images: Sequence[ImageRow], wrong_rig: S
         POINTS: points,
         "full arc": [row for row in points if row.arc == 1],
         "40 % of the arc": [row for row in points if row.arc < 1],
-        "rig without covariance": [row for row in points if row.covariance == "none"],
-        "rig with covariance": [row for row in points if row.covariance == "given"],
+        WITHOUT: [row for row in points if row.covariance == "none"],
+        WITH: [row for row in points if row.covariance == "given"],
         IMAGES: images,
         UNCERTAIN: [row for row in wrong_rig if row.rig == COUNTED],
         IGNORING: [row for row in wrong_rig if row.rig == IGNORED],
     }
 
 
-def headline(
+def numbers(
     points: Sequence[SetRow], images: Sequence[ImageRow], coverage: Sequence[CoverageRow], ranks: Sequence[RankRow]
-) -> str:
-    """Say it in a sentence."""
-    measured = sum(row.outcome == "measured" for row in images)
+) -> dict[str, float]:
+    """Return the headline's numbers: shares are of `coverage.csv` at the level 0.95, `covered` over `sets`, in %."""
     right = [row for row in coverage if row.group != IGNORING]
     p_values = [row for row in ranks if row.group != IGNORING]
+    found: dict[str, float] = {
+        "level_percent": 100 * LEVELS[1],
+        "point_sets": len(points),
+        "images": sum(row.outcome == "measured" for row in images),
+        "proportions": len(right),
+        "proportions_within": sum(row.within for row in right),
+        "rank_tests": len(p_values),
+        "rank_tests_within": sum(row.within for row in p_values),
+        "family_wise_level": LEVEL,
+        "offset_sigma_mm": OFFSET_SIGMA_MM,
+    }
+    for name, group, method in _SAID:
+        shares = [100 * r.share for r in coverage if (r.group, r.method, r.level) == (group, method, LEVELS[1])]
+        found |= {
+            f"{name}_least_percent": min(shares, default=np.nan),
+            f"{name}_most_percent": max(shares, default=np.nan),
+        }
+    return found
+
+
+def headline(n: Mapping[str, float]) -> str:
+    """Say it in a sentence."""
+
+    def span(name: str) -> str:
+        low, high = f"{n[f'{name}_least_percent']:.1f}", f"{n[f'{name}_most_percent']:.1f}"
+        return low if low == high else f"{low} to {high}"
+
     return (
-        f"Over {len(points)} point sets and {measured} images 95 % intervals hold the truth in "
-        f"{_shares(coverage, (POINTS,), 'posterior', 0.95)} % and {_shares(coverage, (IMAGES,), 'posterior', 0.95)} % "
-        f"(posterior; over the five quantities), {_shares(coverage, (POINTS,), 'Laplace', 0.95)} % and "
-        f"{_shares(coverage, (IMAGES,), 'Laplace', 0.95)} % (first order, where it may be trusted); "
-        f"{sum(row.within for row in right)} of {len(right)} proportions and {sum(row.within for row in p_values)} of "
-        f"{len(p_values)} tests of the ranks are within their limits at a family-wise 0.001. Ignoring an offset's "
-        f"0.04 mm leaves {_shares(coverage, (IGNORING,), 'posterior', 0.95)} %."
+        f"Over {n['point_sets']:.0f} point sets and {n['images']:.0f} images {n['level_percent']:.0f} % intervals hold "
+        f"the truth in {span('posterior_sets')} % and {span('posterior_images')} % (posterior, sampled by emcee; over "
+        f"the five quantities), {span('laplace_sets')} % and {span('laplace_images')} % (Laplace, of first order, "
+        f"where it may be trusted); with a rig known only as well as its covariance says in "
+        f"{span('posterior_with_covariance')} % and {span('laplace_with_covariance')} % of the sets, with a rig known "
+        f"exactly in {span('posterior_without_covariance')} % and {span('laplace_without_covariance')} %; "
+        f"{n['proportions_within']:.0f} of {n['proportions']:.0f} proportions and {n['rank_tests_within']:.0f} of "
+        f"{n['rank_tests']:.0f} tests of the ranks are within their limits at a family-wise "
+        f"{n['family_wise_level']:g}. Ignoring that an offset is uncertain by {n['offset_sigma_mm']:g} mm leaves "
+        f"{span('posterior_ignored')} %."
     )
 
 

@@ -23,6 +23,7 @@ from planeopt.formulations import (
     Problem,
 )
 from studies.efficiency_cells import Array
+from studies.efficiency_fits import DRAWS as FIT_DRAWS
 from studies.efficiency_fits import maximum_likelihood
 from studies.efficiency_sweeps import Errors, Sample, Setting, Step, draw, errors_of, steps_of
 from studies.study import Mode
@@ -67,6 +68,9 @@ class FormulationRow(Errors):
     over_ml : float
         RMS error over that of maximum likelihood with the same draws, of those where both have a plane: what chance
         does to both drops out.
+    over_bound_paired : float
+        `over_ml` times what maximum likelihood is at over the bound with all the draws of the conic fits: `over_bound`
+        with less chance in it.
     reasons : str
         Why there was no plane, with counts.
     """
@@ -77,6 +81,7 @@ class FormulationRow(Errors):
     excess: float
     draws: int
     over_ml: float
+    over_bound_paired: float
     reasons: str
 
 
@@ -104,7 +109,7 @@ def run_formulations(mode: Mode, executor: Executor | None) -> list[FormulationR
     ]
     answers = zip(parts, ordered_map(solve_part, parts, executor), strict=True)
     rows = {
-        setting: _rows_of(draw(setting, draws), [found for _, found in members])
+        setting: _rows_of(draw(setting, FIT_DRAWS[mode]), draws, [found for _, found in members])
         for setting, members in groupby(answers, key=lambda pair: pair[0].setting)
     }
     return [_row(step, row) for step in steps for row in rows[step.setting]]
@@ -151,27 +156,29 @@ class _Found:
     excess: float
     draws: int
     over_ml: float
+    over_bound_paired: float
     reasons: str
     errors: Errors
 
 
-def _rows_of(sample: Sample, parts: Sequence[dict[str, list[Answer]]]) -> list[_Found]:
+def _rows_of(sample: Sample, draws: int, parts: Sequence[dict[str, list[Answer]]]) -> list[_Found]:
     best = maximum_likelihood(sample)
-    rows = [_found(REPROJECTION, sample, best, best, [])]
+    ml = errors_of(best, sample).over_bound
+    rows = [_found(REPROJECTION, sample, best[:draws], best[:draws], ml, [])]
     for name in parts[0]:
         answers = [answer for part in parts for answer in part[name]]
         planes = np.stack([plane for plane, _ in answers])
-        rows.append(_found(name, sample, planes, best, [reason for _, reason in answers if reason]))
+        rows.append(_found(name, sample, planes, best[:draws], ml, [reason for _, reason in answers if reason]))
     return rows
 
 
-def _found(name: str, sample: Sample, planes: Array, best: Array, reasons: Sequence[str]) -> _Found:
+def _found(name: str, sample: Sample, planes: Array, best: Array, ml: float, reasons: Sequence[str]) -> _Found:
     both = (np.isfinite(planes) & np.isfinite(best)).all(axis=1)
     over_ml = np.nan
     if both.any():
         over_ml = errors_of(planes[both], sample).over_bound / errors_of(best[both], sample).over_bound
     counted = " ".join(f"{reason}:{count}" for reason, count in sorted(Counter(reasons).items()))
-    return _Found(name, sample.excess, len(planes), over_ml, counted, errors_of(planes, sample))
+    return _Found(name, sample.excess, len(planes), over_ml, over_ml * ml, counted, errors_of(planes, sample))
 
 
 def _row(step: Step, found: _Found) -> FormulationRow:
@@ -183,5 +190,6 @@ def _row(step: Step, found: _Found) -> FormulationRow:
         excess=found.excess,
         draws=found.draws,
         over_ml=found.over_ml,
+        over_bound_paired=found.over_bound_paired,
         reasons=found.reasons,
     )

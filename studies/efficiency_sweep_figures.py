@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, LogLocator, NullLocator
 
+from studies.efficiency_cells import Array
 from studies.efficiency_fits import FITS, POSE, FitRow
 from studies.efficiency_formulations import FORMULATIONS, FormulationRow
 from studies.efficiency_sweeps import BASE
@@ -34,9 +35,6 @@ class _Row(Protocol):
 
     @property
     def value(self) -> float: ...
-
-    @property
-    def over_bound(self) -> float: ...
 
     @property
     def failed(self) -> int: ...
@@ -69,7 +67,7 @@ def fits_figure(rows: Sequence[FitRow], heading: str) -> Figure:
         lines[fit, "dual"] = _Look(dual, LIGHT, marker, ":", place - middle)
         lines[fit, "primal"] = _Look(f"{fit}, primal route", DARK, marker, "-", place - middle)
     lines[POSE, "-"] = _Look("maximum likelihood of the plane", "black", "", "--", 0.0)
-    return _panels(rows, lines, lambda row: (row.fit, row.route), heading)
+    return _panels(rows, lines, lambda row: (row.fit, row.route), lambda row: row.over_bound, heading)
 
 
 def formulations_figure(rows: Sequence[FormulationRow], heading: str) -> Figure:
@@ -80,19 +78,27 @@ def formulations_figure(rows: Sequence[FormulationRow], heading: str) -> Figure:
     for place, (name, marker) in enumerate(zip(FORMULATIONS, _MARKERS, strict=True)):
         colour, line = colours.get(name, (DARK if name.startswith("Constrained") else LIGHT, "-"))
         lines[name, ""] = _Look(name, colour, marker, line, place - middle)
-    return _panels(rows, lines, lambda row: (row.formulation, ""), heading)
+    return _panels(rows, lines, lambda row: (row.formulation, ""), lambda row: row.over_bound_paired, heading)
 
 
 def _panels(
-    rows: Sequence[Row], lines: Mapping[tuple[str, str], _Look], key: Callable[[Row], tuple[str, str]], heading: str
+    rows: Sequence[Row],
+    lines: Mapping[tuple[str, str], _Look],
+    key: Callable[[Row], tuple[str, str]],
+    over_bound: Callable[[Row], float],
+    heading: str,
 ) -> Figure:
-    top = 4 * max(row.over_bound for row in rows if np.isfinite(row.over_bound))
     with figure(12.5, 8.8, heading) as made:
-        grid = made.subplots(2, 3, sharey=True)
+        grid = made.subplots(2, 3)
         for axes, axis in zip(np.ravel(grid), _LABELS, strict=True):
-            values = sorted({row.value for row in rows if row.axis == axis})
+            members = [row for row in rows if row.axis == axis]
+            values = sorted({row.value for row in members})
+            top = 1.6 * max(over_bound(row) for row in members if np.isfinite(over_bound(row)))
+            if any(not np.isfinite(over_bound(row)) for row in members):
+                top *= 1.6
             for line, look in lines.items():
-                _line(axes, [row for row in rows if row.axis == axis and key(row) == line], values, look, top)
+                of_line = [row for row in members if key(row) == line]
+                _line(axes, of_line, np.array([over_bound(row) for row in of_line]), values, look, top)
             axes.axhline(1.0, color="black", lw=0.8, zorder=0)
             axes.axvline(getattr(BASE, axis), color="0.6", lw=0.8, ls=(0, (1, 3)), zorder=0)
             _scale(axes, axis, values, top)
@@ -103,23 +109,23 @@ def _panels(
     return made
 
 
-def _line(axes: Axes, rows: Sequence[Row], values: Sequence[float], look: _Look, top: float) -> None:
+def _line(axes: Axes, rows: Sequence[_Row], y: Array, values: Sequence[float], look: _Look, top: float) -> None:
     x, share = np.array([row.value for row in rows], dtype=float), look.place * _SIDE
     logarithmic = rows[0].axis in _LOGARITHMIC
     x = x * (values[-1] / values[0]) ** share if logarithmic else x + (values[-1] - values[0]) * share
-    y = np.array([row.over_bound for row in rows])
     face, found = look.colour, np.isfinite(y)
     axes.plot(x, y, look.line, color=face, lw=1.0, marker=look.marker, ms=4.5, mec="black", mew=0.3, label=look.label)
     # Where planes are missing the marker has a ring; where all are, a cross at the top says so.
     lost = np.array([row.failed > 0.01 * row.draws for row in rows])
     axes.plot(x[lost & found], y[lost & found], "o", ms=9, mfc="none", mec=face, mew=1.2)
-    axes.plot(x[~found], np.full(int(np.sum(~found)), 0.7 * top), "x", ms=6, mec=face, mew=1.4)
+    axes.plot(x[~found], np.full(int(np.sum(~found)), 0.8 * top), "x", ms=6, mec=face, mew=1.4)
 
 
 def _scale(axes: Axes, axis: str, values: Sequence[float], top: float) -> None:
     axes.set_yscale("log")
-    axes.set_ylim(0.6, top)
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.set_ylim(0.8, top)
+    finer = (1.0, 1.2, 1.5, 2.0, 3.0, 5.0, 7.0) if top < 10 else (1.0, 2.0, 5.0) if top < 1000 else (1.0,)
+    axes.yaxis.set_major_locator(LogLocator(subs=finer))
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_locator(NullLocator())
     if axis in _LOGARITHMIC:

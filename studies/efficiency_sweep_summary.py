@@ -39,9 +39,10 @@ def headline(n: dict[str, float]) -> str:
         f"{_span(n['best_fit_over_bound_primal'], n['worst_fit_over_bound_primal'])} times the bound by the primal "
         f"route and at {_span(n['best_fit_over_bound_dual'], n['worst_fit_over_bound_dual'])} by the dual, with "
         f"points on {n['short_arc_percent']:.0f} % of the ellipse at "
-        f"{n['least_over_bound_short_arc']:.1f} to {n['largest_over_bound_short_arc']:.1f}; along all axes Constrained "
-        f"is at {n['constrained_over_ml_least']:.3f} to {n['constrained_over_ml_largest']:.3f} times maximum "
-        f"likelihood, in that case LeastSquares and Penalty at {n['least_squares_and_penalty_over_ml']:.2f}."
+        f"{n['least_over_bound_short_arc']:.1f} to {n['largest_over_bound_short_arc']:.1f}. With points all round "
+        f"LeastSquares and Penalty are at {n['least_squares_and_penalty_over_ml']:.2f} times maximum likelihood; "
+        f"Constrained, wherever it was tried, at {n['constrained_over_ml_least']:.3f} to "
+        f"{n['constrained_over_ml_largest']:.3f}."
     )
 
 
@@ -67,8 +68,8 @@ def formulations_heading(formulations: Sequence[FormulationRow]) -> str:
     low, high = _range(formulations, "Constrained")
     worst = max(row.over_ml for row in formulations if row.formulation == "LeastSquares" and row.axis == "arc")
     return (
-        f"Constrained is at {low:.3f} to {high:.3f} times maximum likelihood on every axis; "
-        f"unweighted least squares at up to {worst:.0f} on short arcs"
+        f"Constrained is at {low:.3f} to {high:.3f} times maximum likelihood; unweighted least squares at up to "
+        f"{worst:.0f} on short arcs"
     )
 
 

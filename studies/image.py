@@ -4,36 +4,65 @@
    high, tilted to 65 degrees, seen through a distorting lens, in 8 bits: is the mean signed distance of the boundary's
    points from the true boundary below 0.02 px (0.05 px where over-exposed twice), and their noise, and that of the
    ellipse's size, centre and axes, within 1.5 times what the noise of the pixels allows (`planeopt.spot.bound`)?
-2. **Hard cases.** With speckle, occlusion, distractors, hardly any contrast, saturation, few pixels: is the plane right
+2. **One axis at a time.** How do bias and noise grow with blur, with contrast, with over-exposure to four times full
+   scale, and with speckle to half the mean?
+3. **Hard cases.** With speckle, occlusion, distractors, hardly any contrast, saturation, few pixels: is the plane right
    within 4 of its own standard deviations, and refused where it is not?
-3. **Honesty.** Over random images: have the errors of z_L and of both slopes, over their own sigmas, unit variance?
-4. **Flags.** Are they raised where something is wrong with an image, and not where nothing is?
+4. **Honesty.** Over random images: have the errors of z_L and of both slopes, over their own sigmas, unit variance?
+5. **Flags.** Are they raised where something is wrong with an image, and not where nothing is?
 """
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
 
-from studies.image_cells import cells_of, run_cells
+from studies.image_cells import CellRow, cells_of, run_cells
 from studies.image_figures import boundary_figure, pose_figure
-from studies.image_flags import run_flags
-from studies.image_poses import HARD, Job, run_poses
-from studies.image_summary import cases_of, finding, headline, honesty_of
+from studies.image_flags import FlagRow, run_flags
+from studies.image_poses import HARD, Job, PoseRow, run_poses
+from studies.image_summary import cases_of, finding, headline, honesty_of, numbers
+from studies.image_sweep_figure import sweep_figure
+from studies.image_sweeps import SweepRow, run_sweeps
 from studies.study import Mode, Result
 
-_IMAGES = {"full": (400, 200, 100), "quick": (50, 8, 4)}
+_IMAGES = {"full": (400, 200, 60), "quick": (16, 1, 2)}
 """Plain ones, of each hard case, and with each fault."""
 
 
 def run(mode: Mode, executor: Executor | None = None) -> Result:
-    """Answer the four questions."""
+    """Answer the five questions."""
     plain, hard, faulty = _IMAGES[mode]
-    cells = run_cells(cells_of(mode), executor)
+    cells, sweeps = run_cells(cells_of(mode), executor), run_sweeps(mode, executor)
     jobs = [Job("plain", seed) for seed in range(plain)]
     jobs += [Job(case, seed) for case in HARD for seed in range(hard)]
-    poses = run_poses(jobs, executor)
-    cases, honesty, flags = cases_of(poses), honesty_of(poses), run_flags(faulty, executor)
+    return result_of(cells, sweeps, run_poses(jobs, executor), run_flags(faulty, executor))
+
+
+def result_of(
+    cells: Sequence[CellRow], sweeps: Sequence[SweepRow], poses: Sequence[PoseRow], flags: Sequence[FlagRow]
+) -> Result:
+    """Judge, draw and put into words what was measured."""
+    cases, honesty = cases_of(poses), honesty_of(poses)
+    said = numbers(cells, cases, honesty, sweeps)
+    clear = max(row.points_over_bound for row in sweeps if row.axis != "speckle")
+    heading = (
+        f"Bias at most {said['largest_bias_sweeps_px']:.3f} px, with speckle {said['largest_bias_speckle_px']:.3f} px; "
+        f"noise at most {clear:.2f} times its bound, which knows nothing of speckle"
+    )
     return Result(
-        tables={"cells": cells, "poses": poses, "cases": cases, "honesty": honesty, "flags": flags},
-        headline=headline(cells, cases, honesty),
-        finding=finding(cells, cases, honesty, flags),
-        figures={"boundary": boundary_figure(cells), "poses": pose_figure(poses)},
+        tables={
+            "cells": cells,
+            "sweeps": sweeps,
+            "poses": poses,
+            "cases": cases,
+            "honesty": honesty,
+            "flags": flags,
+        },
+        headline=headline(said),
+        finding=finding(cells, cases, honesty, flags, sweeps),
+        figures={
+            "boundary": boundary_figure(cells),
+            "sweeps": sweep_figure(sweeps, heading),
+            "poses": pose_figure(poses),
+        },
+        numbers=said,
     )

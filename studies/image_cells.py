@@ -14,7 +14,7 @@ from planeopt.simulation import boundary_distances, render
 from planeopt.spot import SpotNotFound, find_spot
 from planeopt.spot.points import Kind
 from studies.boundaries import Deviation, deviation
-from studies.draws import Look, Range, View, draw_scene
+from studies.draws import Lit, Look, Range, View, draw_scene
 from studies.study import Mode
 
 RADII_PX = (8.0, 20.0, 60.0, 300.0)
@@ -22,7 +22,7 @@ BLURS_PX = (0.7, 1.2, 2.0)
 LIGHTS = ((20.0, 1.0), (20.0, 4.0), (80.0, 2.0), (230.0, 1.0), (230.0, 4.0))
 """Contrast and noise, grey levels."""
 
-_DRAWS = {8.0: 32, 20.0: 20, 60.0: 16, 300.0: 6}
+_DRAWS = {8.0: 24, 20.0: 16, 60.0: 12, 300.0: 4}
 """More where one image says less: what remains of the noise in a cell's mean is to be well below 0.02 px."""
 
 
@@ -107,15 +107,14 @@ def cells_of(mode: Mode) -> list[tuple[Cell, int]]:
     """Return the cells with their numbers of images; quick: small spots at the ends of the grid."""
     if mode == "full":
         return [(cell, _DRAWS[cell.radius_px]) for cell in grid()]
-    ends = ((20.0, 1.0), (230.0, 4.0))
+    ends = ((8.0, 0.7, 20.0, 1.0), (60.0, 2.0, 230.0, 4.0))
     quick = [
         cell
         for cell in grid()
-        if cell.radius_px in (8.0, 60.0)
-        and cell.blur_px in (0.7, 2.0)
-        and ((cell.contrast, cell.noise) in ends or (cell.over > 1 and cell.radius_px == 60.0))
+        if (cell.radius_px, cell.blur_px, cell.contrast, cell.noise) in ends
+        or (cell.over > 1 and (cell.radius_px, cell.blur_px) == (60.0, 0.7))
     ]
-    return [(cell, 6) for cell in quick]
+    return [(cell, 4) for cell in quick]
 
 
 def run_cells(cells: Sequence[tuple[Cell, int]], executor: Executor | None) -> list[CellRow]:
@@ -126,7 +125,7 @@ def run_cells(cells: Sequence[tuple[Cell, int]], executor: Executor | None) -> l
 
 
 def measure_image(image: Image) -> Deviation | str:
-    """Render, measure and compare one image; the reason where there is no spot to be measured."""
+    """Measure one image of a cell, see `measure`."""
     cell = image.cell
     rng = np.random.default_rng([_number(cell), image.draw])
     look = Look(
@@ -136,7 +135,11 @@ def measure_image(image: Image) -> Deviation | str:
         line_px=Range.at(1.2),
         over=cell.over,
     )
-    lit = draw_scene(View(Range.at(cell.radius_px), kind=cell.kind), look, rng)
+    return measure(draw_scene(View(Range.at(cell.radius_px), kind=cell.kind), look, rng))
+
+
+def measure(lit: Lit) -> Deviation | str:
+    """Render, measure and compare one scene; the reason where there is no spot to be measured."""
     scene = lit.scene
     try:
         spot = find_spot(render(scene).image, scene.rig, camera_blur=lit.known_blur)
@@ -149,26 +152,42 @@ def measure_image(image: Image) -> Deviation | str:
 
 def summary(cell: Cell, outcomes: Sequence[Deviation | str]) -> CellRow:
     """Return the row of a cell; its numbers are NaN where all images were refused."""
-    found = [outcome for outcome in outcomes if isinstance(outcome, Deviation)]
-    reasons = sorted({outcome for outcome in outcomes if isinstance(outcome, str)})
-    columns = np.array([dataclasses.astuple(d) for d in found]).reshape(-1, 6)
-    mean = columns.mean(axis=0) if found else np.full(6, np.nan)
-    error = columns.std(axis=0, ddof=1) / np.sqrt(len(found)) if len(found) > 1 else np.full(6, np.nan)
-    bias, least, points, size, shape, own = mean.tolist()
+    added = add_up(outcomes)
     return CellRow(
         **{name: getattr(cell, name) for name in Cell.__dataclass_fields__},
         images=len(outcomes),
-        refused=len(outcomes) - len(found),
-        bias_px=bias,
-        bias_error_px=float(error[0]),
-        least_error_px=float(np.sqrt(least / len(found))) if found else np.nan,
-        points_over_bound=float(np.sqrt(points)),
-        size_over_bound=float(np.sqrt(size)),
-        shape_over_bound=float(np.sqrt(shape)),
-        own=own,
-        own_error=float(error[5]),
-        reasons=" ".join(reasons),
+        refused=len(outcomes) - added.found,
+        bias_px=added.mean.bias,
+        bias_error_px=added.error.bias,
+        least_error_px=float(np.sqrt(added.mean.least_variance / added.found)) if added.found else np.nan,
+        points_over_bound=float(np.sqrt(added.mean.points)),
+        size_over_bound=float(np.sqrt(added.mean.size)),
+        shape_over_bound=float(np.sqrt(added.mean.shape)),
+        own=added.mean.own,
+        own_error=added.error.own,
+        reasons=added.reasons,
     )
+
+
+@dataclass(frozen=True)
+class Added:
+    """Mean of deviations, its standard error from their scatter, their number, and why there were no others."""
+
+    mean: Deviation
+    error: Deviation
+    found: int
+    reasons: str
+
+
+def add_up(outcomes: Sequence[Deviation | str]) -> Added:
+    """Take means over images; NaN where there are none, or for an error only one."""
+    found = [outcome for outcome in outcomes if isinstance(outcome, Deviation)]
+    reasons = sorted({outcome for outcome in outcomes if isinstance(outcome, str)})
+    columns = np.array([dataclasses.astuple(d) for d in found]).reshape(len(found), -1)
+    nothing = np.full(len(dataclasses.fields(Deviation)), np.nan)
+    mean = columns.mean(axis=0) if found else nothing
+    error = columns.std(axis=0, ddof=1) / np.sqrt(len(found)) if len(found) > 1 else nothing
+    return Added(Deviation(*mean.tolist()), Deviation(*error.tolist()), len(found), " ".join(reasons))
 
 
 def _number(cell: Cell) -> int:

@@ -1,7 +1,7 @@
 """What the images add up to: proportions, variances with their limits, and the finding in words."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ import scipy.stats
 from studies.image_cells import CellRow
 from studies.image_flags import FlagRow
 from studies.image_poses import MAHALANOBIS, PoseRow
+from studies.image_sweeps import Setting, SweepRow
 from studies.statistics import LEVEL
 
 RIGHT = 0.98
@@ -122,24 +123,50 @@ def honesty_of(poses: Sequence[PoseRow]) -> list[HonestyRow]:
     return rows
 
 
-def headline(cells: Sequence[CellRow], cases: Sequence[CaseRow], honesty: Sequence[HonestyRow]) -> str:
-    """Say it in a sentence."""
+def numbers(
+    cells: Sequence[CellRow], cases: Sequence[CaseRow], honesty: Sequence[HonestyRow], sweeps: Sequence[SweepRow]
+) -> dict[str, float]:
+    """Return the headline's numbers; `finding` names the tables and columns that they come from."""
     plain = [c for c in cells if c.over == 1]
     known = [c for c in plain if c.bias_error_px < KNOWN_PX]
     hard = [case for case in cases if case.case != "plain"]
     variances = [h.variance for h in honesty]
+    speckled = max(sweeps, key=lambda row: row.value if row.axis == "speckle" else -1.0)
+    return {
+        "largest_bias_px": max(abs(c.bias_px) for c in known),
+        "known_to_px": KNOWN_PX,
+        "largest_points_over_bound": max(c.points_over_bound for c in plain),
+        "speckle": speckled.value,
+        "largest_bias_sweeps_px": _largest_bias([row for row in sweeps if row.axis != "speckle"]),
+        "largest_bias_speckle_px": _largest_bias([row for row in sweeps if row.axis == "speckle"]),
+        "largest_points_speckle_px": max(row.points_px for row in sweeps if row.axis == "speckle"),
+        "hard_images": sum(c.images for c in hard),
+        "hard_right": sum(c.right for c in hard),
+        "hard_wrong": sum(c.images - c.right - c.refused for c in hard),
+        "least_variance": min(variances),
+        "largest_variance": max(variances),
+    }
+
+
+def headline(n: Mapping[str, float]) -> str:
+    """Say it in a sentence."""
     return (
-        f"The boundary's mean bias over sizes, blurs, contrasts and noises is at most "
-        f"{max(abs(c.bias_px) for c in known):.3f} px (in the cells that know it to {KNOWN_PX} px), the noise "
-        f"of its points at most {max(c.points_over_bound for c in plain):.2f} times the Cramér-Rao bound; of "
-        f"{sum(c.images for c in hard)} hard images {sum(c.right for c in hard)} give the right plane and "
-        f"{sum(c.images - c.right - c.refused for c in hard)} a wrong one; the errors' variance over their own is "
-        f"{min(variances):.2f} to {max(variances):.2f}."
+        f"The boundary's mean bias over sizes, blurs, contrasts and noises is at most {n['largest_bias_px']:.3f} px "
+        f"(in the cells that know it to {n['known_to_px']:g} px), the noise of its points at most "
+        f"{n['largest_points_over_bound']:.2f} times the Cramér-Rao bound; along blur, contrast and over-exposure the "
+        f"bias is at most {n['largest_bias_sweeps_px']:.3f} px, with speckle up to {n['speckle']:g} at most "
+        f"{n['largest_bias_speckle_px']:.3f} px, where the points scatter by {n['largest_points_speckle_px']:.2f} px; "
+        f"of {n['hard_images']:.0f} hard images {n['hard_right']:.0f} give the right plane and {n['hard_wrong']:.0f} a "
+        f"wrong one; the errors' variance over their own is {n['least_variance']:.2f} to {n['largest_variance']:.2f}."
     )
 
 
 def finding(
-    cells: Sequence[CellRow], cases: Sequence[CaseRow], honesty: Sequence[HonestyRow], flags: Sequence[FlagRow]
+    cells: Sequence[CellRow],
+    cases: Sequence[CaseRow],
+    honesty: Sequence[HonestyRow],
+    flags: Sequence[FlagRow],
+    sweeps: Sequence[SweepRow],
 ) -> str:
     """Say what was found; every number comes from the tables."""
     plain, over = [c for c in cells if c.over == 1], [c for c in cells if c.over > 1]
@@ -158,17 +185,19 @@ def finding(
     lines = [
         "# The boundary in an image",
         "",
-        f"**Bias.** Of {len(plain)} cells ({sum(c.images for c in plain)} images) {len(known)} know the mean signed "
-        f"distance of the boundary to {KNOWN_PX} px: it is at most {_worst(known)}. In the noisier others it is at "
-        f"most {_worst(noisy)}. The largest over its standard error is {_most_significant(plain)}. Over-exposed "
-        f"twice ({len(over)} cells) it is at most {_worst(over)}.",
+        f"**Bias** (`cells.csv`). Of {len(plain)} cells ({sum(c.images for c in plain)} images) {len(known)} know the "
+        f"mean signed distance of the boundary to {KNOWN_PX} px: it is at most {_worst(known)}. In the noisier others "
+        f"it is at most {_worst(noisy)}. The largest over its standard error is {_most_significant(plain)}. "
+        f"Over-exposed twice ({len(over)} cells) it is at most {_worst(over)}.",
         "",
-        f"**Noise over the Cramér-Rao bound**, RMS: {'; '.join(noise)}.",
+        f"**Noise over the Cramér-Rao bound** (`cells.csv`), RMS: {'; '.join(noise)}.",
         "",
         f"**Refused** in these cells: {_refusals(cells)}.",
         "",
-        f"**Hard cases.** {right} of {images} planes are right within 4 of their own standard deviations, "
-        f"{sum(c.refused for c in hard)} refused, {sum(c.degraded for c in hard)} off with a warning, "
+        *_of_sweeps(sweeps),
+        "",
+        f"**Hard cases** (`cases.csv`). {right} of {images} planes are right within 4 of their own standard "
+        f"deviations, {sum(c.refused for c in hard)} refused, {sum(c.degraded for c in hard)} off with a warning, "
         f"{sum(c.wrong for c in hard)} wrong, {sum(c.broken for c in hard)} broken:",
         "",
         "| case | images | right | refused | degraded | wrong | broken | right by Mahalanobis |",
@@ -179,7 +208,7 @@ def finding(
             for c in cases
         ),
         "",
-        "**Honesty.** "
+        "**Honesty** (`honesty.csv`). "
         + "; ".join(
             f"the variance of {h.component} over its own is {h.variance:.2f} "
             f"(right code: {h.least_variance:.2f} to {h.largest_variance:.2f} in 999 of 1,000 runs)"
@@ -187,13 +216,47 @@ def finding(
         )
         + f", over {honesty[0].images} images.",
         "",
-        "**Flags.** Images with something to say about them, or refused:",
+        "**Flags** (`flags.csv`). Images with something to say about them, or refused:",
         "",
         "| what is wrong | images | said | refused | flags and reasons given |",
         "|---|---|---|---|---|",
         *(f"| {f.fault} | {f.images} | {f.said} | {f.refused} | {f.raised or '-'} |" for f in flags),
     ]
     return "\n".join(lines)
+
+
+def _largest_bias(rows: Sequence[SweepRow]) -> float:
+    return max((abs(row.bias_px) for row in rows if np.isfinite(row.bias_px)), default=np.nan)
+
+
+def _of_sweeps(sweeps: Sequence[SweepRow]) -> list[str]:
+    base = Setting("disc")
+    return [
+        f"**One axis at a time** (`sweeps.csv`), about a radius of {base.radius_px:g} px, a blur of {base.blur_px:g} "
+        f"px, a contrast of {base.contrast:g} and noise of {base.noise:g} grey levels: largest bias, RMS distance of "
+        "the points from their mean at both ends, the same over the bound of the pixels' noise, refusals:",
+        "",
+        "| axis | kind | largest bias (px) | at | noise of points (px) | over the bound | refused |",
+        "|---|---|---|---|---|---|---|",
+        *(
+            _sweep_line([row for row in sweeps if (row.axis, row.kind) == pair])
+            for pair in dict.fromkeys((row.axis, row.kind) for row in sweeps)
+        ),
+    ]
+
+
+def _sweep_line(rows: Sequence[SweepRow]) -> str:
+    first, last = rows[0], rows[-1]
+    found = [row for row in rows if np.isfinite(row.bias_px)]
+    images = f"{sum(row.refused for row in rows)} of {sum(row.images for row in rows)}"
+    if not found:
+        return f"| {first.axis} | {first.kind} | - | - | - | - | {images} |"
+    worst = max(found, key=lambda row: abs(row.bias_px))
+    over = f"{first.points_over_bound:.2f} to {last.points_over_bound:.2f}"
+    return (
+        f"| {first.axis} | {first.kind} | {worst.bias_px:+.4f} +- {worst.bias_error_px:.4f} | {worst.value:g} | "
+        f"{first.points_px:.3f} to {last.points_px:.3f} | {over} | {images} |"
+    )
 
 
 def _refusals(cells: Sequence[CellRow]) -> str:

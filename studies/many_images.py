@@ -8,7 +8,7 @@
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 
 import scipy.stats
@@ -24,12 +24,18 @@ from studies.style import DARK, FAINT, LIGHT, RED, figure
 
 def run(mode: Mode, executor: Executor | None = None) -> Result:
     """Answer both questions."""
-    frames, checks = run_frames(mode, executor), run_checks(mode, executor)
+    return result_of(run_frames(mode, executor), run_checks(mode, executor))
+
+
+def result_of(frames: Sequence[CombineRow], checks: Sequence[CheckRow]) -> Result:
+    """Judge, draw and put into words what was measured."""
+    said = _numbers(frames, checks)
     return Result(
         tables={"frames": frames, "checks": checks},
-        headline=_headline(frames, checks),
+        headline=_headline(said),
         finding=_finding(frames, checks),
         figures={"many_images": _figure(frames, checks)},
+        numbers=said,
     )
 
 
@@ -57,16 +63,34 @@ def faults(frames: Sequence[CombineRow], checks: Sequence[CheckRow]) -> list[str
     return found
 
 
-def _headline(frames: Sequence[CombineRow], checks: Sequence[CheckRow]) -> str:
+def _numbers(frames: Sequence[CombineRow], checks: Sequence[CheckRow]) -> dict[str, float]:
+    """Return the headline's numbers, from `frames.csv` and, of rigs that have not turned, `checks.csv`."""
     first, last = frames[0], frames[-1]
     most = max(row.images for row in checks)
     right = next(row for row in checks if row.images == most and row.turn_mrad == 0)
-    spots, rig = first.sigma_z_spot_mm / last.sigma_z_spot_mm, abs(1 - last.sigma_z_rig_mm / first.sigma_z_rig_mm)
+    return {
+        "least_frames": first.frames,
+        "most_frames": last.frames,
+        "spots_sigma_falls_by": first.sigma_z_spot_mm / last.sigma_z_spot_mm,
+        "rig_sigma_falls_by_percent": 100 * abs(1 - last.sigma_z_rig_mm / first.sigma_z_rig_mm),
+        "least_squared_error": min(row.total for row in frames),
+        "largest_squared_error": max(row.total for row in frames),
+        "largest_believing": max(row.believing for row in frames),
+        "images_checked": right.images,
+        "batches_checked": right.batches,
+        "called_degraded_percent": 100 * right.degraded,
+        "by_sum_percent": 100 * right.naive,
+    }
+
+
+def _headline(n: Mapping[str, float]) -> str:
     return (
-        f"From 1 to {last.frames} frames of one plane the spots' part of sigma falls by a factor of {spots:.1f}, "
-        f"the rig's by {rig:.1%}; the squared error over the covariance is {_range([row.total for row in frames])}. "
-        f"{most} images call a right rig degraded in {right.degraded:.1%} of {right.batches} batches; the sum of their "
-        f"own chi-squareds would in {right.naive:.0%}."
+        f"From {n['least_frames']:.0f} to {n['most_frames']:.0f} frames of one plane the spots' part of sigma falls by "
+        f"a factor of {n['spots_sigma_falls_by']:.1f}, the rig's by {n['rig_sigma_falls_by_percent']:.1f} %; the squared "
+        f"error over the covariance is {n['least_squared_error']:.2f} to {n['largest_squared_error']:.2f}, by weights "
+        f"that believe noisy sensitivities up to {n['largest_believing']:.1f}. {n['images_checked']:.0f} images call a "
+        f"right rig degraded in {n['called_degraded_percent']:.1f} % of {n['batches_checked']:.0f} batches; the sum of "
+        f"their own chi-squareds would in {n['by_sum_percent']:.0f} %."
     )
 
 
@@ -122,10 +146,6 @@ def _faults_in_words(frames: Sequence[CombineRow], checks: Sequence[CheckRow]) -
 def _inconstancy(frames: Sequence[CombineRow]) -> float:
     one = frames[0].sigma_z_spot_mm
     return max(abs(row.frames * (row.sigma_z_spot_mm / one) ** 2 - 1) for row in frames)
-
-
-def _range(values: Sequence[float]) -> str:
-    return f"{min(values):.2f} to {max(values):.2f}"
 
 
 def _cell(value: float) -> str:
