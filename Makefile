@@ -64,4 +64,4 @@ docs: $(READY)
 		planeopt $(ROOMS:%=planeopt.%) '!planeopt[.].*[.].*'
 
 clean:
-	rm -rf $(VENV) $(OLDEST) demo-output docs/api build dist .pytest_cache .ruff_cache .hypothesis .benchmarks
+	rm -rf $(VENV) $(OLDEST) .venv-peers demo-output docs/api build dist .pytest_cache .ruff_cache .hypothesis .benchmarks

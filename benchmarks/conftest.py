@@ -1,21 +1,25 @@
 """Collect what was timed and print it at the end as tables of ratios."""
 
+import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Protocol
 
 import pytest
 
 ROWS = pytest.StashKey[list[tuple[str, str, float, dict[str, Any]]]]()
 COUNTS = {
-    "iterations": "iterations",
-    "evaluations": "evaluations",
-    "derivative_evaluations": "derivatives",
-    "difference": "difference",
+    "iterations": ("iterations", "d"),
+    "evaluations": ("evaluations", "d"),
+    "derivative_evaluations": ("derivatives", "d"),
+    "difference": ("difference", ".0e"),
+    "over_bound": ("error over bound", ".2f"),
+    "failures": ("failures", "d"),
+    "reason": ("reason", ""),
 }
-"""What a test leaves in ``benchmark.extra_info``, and its column's head. ``each``, without a column, is by how many
-problems a time is divided."""
+"""What a test leaves in ``benchmark.extra_info``, its column's head and format. ``each``, without a column, is by how
+many problems a time is divided."""
 
-UNITS_OF_TIME = ("SciPy least_squares", "cv2.GaussianBlur")
+UNITS_OF_TIME = ("SciPy least_squares", "SciPy least_squares, maximum likelihood", "cv2.GaussianBlur")
 """The row that the others' times are divided by; the fastest where a group has no such row."""
 
 
@@ -31,24 +35,45 @@ def _collected(request: pytest.FixtureRequest) -> Iterator[None]:
     request.config.stash.setdefault(ROWS, []).append((info["what"], benchmark.group or "", stats.min / each, info))
 
 
+class Report(Protocol):
+    """Adds a row that was timed elsewhere; without a time where nothing could be timed."""
+
+    def __call__(self, group: str, what: str, seconds: float | None, /, **info: float | int | str) -> None: ...
+
+
+@pytest.fixture
+def report(request: pytest.FixtureRequest) -> Report:
+    def add(group: str, what: str, seconds: float | None, /, **info: float | int | str) -> None:
+        time = math.nan if seconds is None else seconds
+        request.config.stash.setdefault(ROWS, []).append((what, group, time, {**info, "median": math.nan}))
+
+    return add
+
+
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
     """Print a Markdown table for each group: best and median time, ratio of the best ones, counts, agreement."""
     rows = config.stash.get(ROWS, [])
     for group in dict.fromkeys(group for _, group, _, _ in rows):
         members = [row for row in rows if row[1] == group]
-        unit = next((best for what, _, best, _ in members if what in UNITS_OF_TIME), min(row[2] for row in members))
+        fastest = min((row[2] for row in members if not math.isnan(row[2])), default=math.nan)
+        unit = next((best for what, _, best, _ in members if what in UNITS_OF_TIME), fastest)
         terminalreporter.section(group)
-        columns = [name for name in COUNTS if any(name in info for _, _, _, info in members)]
-        heads = ["what", "best ms", "median ms", "relative", *(COUNTS[name] for name in columns)]
+        columns = [name for name in COUNTS if any(info.get(name, "") != "" for _, _, _, info in members)]
+        heads = ["what", "best ms", "median ms", "relative", *(COUNTS[name][0] for name in columns)]
         terminalreporter.write_line(f"| {' | '.join(heads)} |")
         terminalreporter.write_line("|" + len(heads) * "---|")
-        for what, _, best, info in sorted(members, key=lambda row: row[2]):
-            times = [f"{1e3 * best:.2f}", f"{1e3 * info['median']:.2f}", f"{best / unit:.2f}"]
-            cells = [what, *times, *(_cell(info.get(name)) for name in columns)]
+        for what, _, best, info in sorted(members, key=lambda row: (math.isnan(row[2]), row[2])):
+            times = [_time(1e3 * best), _time(1e3 * info["median"]), _time(best / unit)]
+            cells = [what, *times, *(_cell(info.get(name), COUNTS[name][1]) for name in columns)]
             terminalreporter.write_line(f"| {' | '.join(cells)} |")
 
 
-def _cell(value: float | None) -> str:
-    if value is None:
+def _time(value: float) -> str:
+    """Two digits at least: a thousandth of a millisecond counts where a spot takes no more."""
+    if math.isnan(value):
         return ""
-    return str(value) if isinstance(value, int) else f"{value:.0e}"
+    return f"{value:.2f}" if value >= 1 else f"{value:.2g}"
+
+
+def _cell(value: float | str | None, style: str) -> str:
+    return "" if value is None else format(value, style)
