@@ -1,5 +1,6 @@
 """A Dask cluster as an executor: one that runs somewhere, or one of this machine for the time being."""
 
+import asyncio
 import logging
 import math
 import pickle
@@ -8,10 +9,9 @@ import sys
 import threading
 import time
 import warnings
-from asyncio import CancelledError
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -79,8 +79,9 @@ def cluster(address: str, jobs: int = 1) -> Iterator[Executor]:
                 )
             )
         else:
+            _knock(address)
             where = address
-        client = opened.enter_context(_client(distributed, where, address))
+        client = opened.enter_context(distributed.Client(where, timeout=CONNECT_S, set_as_default=False))
         if address != LOCAL:
             _check_workers(client, address)
         executor = DaskExecutor(client, address)
@@ -105,10 +106,20 @@ def _distributed() -> Any:
     return distributed
 
 
-def _client(distributed: Any, where: Any, address: str) -> "Client":
+def _knock(address: str) -> None:
+    """Make sure that a scheduler answers: a client that finds none takes long to give up, and says so twice."""
+    from distributed.comm.core import connect
+
+    async def knock() -> None:
+        comm = await connect(address, timeout=CONNECT_S)
+        await comm.close()
+
     try:
-        return distributed.Client(where, timeout=CONNECT_S, set_as_default=False)
-    except (OSError, TimeoutError, ValueError) as error:
+        # In a thread of its own: there may be an event loop in this one.
+        with ThreadPoolExecutor(1) as thread:
+            thread.submit(asyncio.run, knock()).result()
+    except Exception as error:
+        # Whatever answers, if anything does, it is no scheduler.
         raise InputError(
             f"--dask {address}: no Dask scheduler answers there; start one with `dask scheduler`, or use --dask {LOCAL}"
         ) from error
@@ -271,7 +282,7 @@ def _told(there: "DaskFuture", address: str) -> bytes:
     except KilledWorker as error:
         last = error.last_worker.address
         raise WorkerLost(f"workers died over it again and again, {last} the last: for lack of memory?") from error
-    except (CancelledError, Exception) as error:
+    except (asyncio.CancelledError, Exception) as error:
         # What the function raises is a result: this is Dask's own.
         raise _gone(address, error) from error
 
