@@ -12,7 +12,7 @@ from planeopt.errors import InputError
 from planeopt.executors import workers
 from studies.study import Study, put_headline, write
 
-STUDIES = ("image", "efficiency", "coverage", "many_images", "calibration", "rig_checks")
+STUDIES = ("basins", "efficiency", "coverage", "image", "calibration", "many_images", "rig_checks")
 RESULTS = Path(__file__).parent / "results"
 
 

@@ -11,13 +11,14 @@ import numpy as np
 
 from planeopt import equations as eq
 from planeopt.formulations import Problem, Start
-from planeopt.formulations.bounds import pose_scale
 from planeopt.nlp import Model, Nlp, Row
 
 
 @dataclass(frozen=True)
 class Unguarded:
     """min factor * sum ((b_i/b_0 - B_i)/B_i)^2  s.t.  R^2 = r^2 (1 + p^2 + q^2), without bounds or inequalities.
+
+    Its unknowns are searched as they are, mm beside slopes: scaling is another thing that a first attempt leaves out.
 
     Parameters
     ----------
@@ -39,7 +40,7 @@ class Unguarded:
             start.in_slopes,
             -free,
             free,
-            pose_scale(problem.setup.r, start.plane[0]),
+            np.ones(4),
             np.array([problem.setup.r**2]),
             problem.B_factor,
         )
