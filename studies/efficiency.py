@@ -11,7 +11,7 @@
 4. **Formulations.** Along the same axes, with the same points: what does each formulation lose?
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 
 from studies import efficiency_summary as grid
@@ -31,17 +31,32 @@ def run(mode: Mode, executor: Executor | None = None) -> Result:
 
 def result_of(cells: Sequence[CellRow], fits: Sequence[FitRow], formulations: Sequence[FormulationRow]) -> Result:
     """Judge, draw and put into words what was measured."""
-    found = grid.verdicts(cells)
-    of_grid, of_axes = grid.numbers(found), sweeps.numbers(fits, formulations) | sweeps.base_numbers()
-    finding = "\n".join([grid.finding(cells, found), "", *sweeps.finding(fits, formulations)])
+    found, said = grid.verdicts(cells), numbers(cells, fits, formulations)
     return Result(
         tables={"cells": cells, "verdicts": found, "fits": fits, "formulations": formulations},
-        headline=f"{grid.headline(of_grid)} {sweeps.headline(of_axes)}",
-        finding=finding,
+        headline=headline(said),
+        finding=finding(cells, fits, formulations),
         figures={
             "efficiency": efficiency_figure(cells, found),
             "fits": fits_figure(fits, sweeps.fits_heading(fits)),
             "formulations": formulations_figure(formulations, sweeps.formulations_heading(formulations)),
         },
-        numbers=of_grid | of_axes,
+        numbers=said,
     )
+
+
+def numbers(
+    cells: Sequence[CellRow], fits: Sequence[FitRow], formulations: Sequence[FormulationRow]
+) -> dict[str, float]:
+    """Return the headline's numbers."""
+    return grid.numbers(grid.verdicts(cells)) | sweeps.numbers(fits, formulations)
+
+
+def headline(said: Mapping[str, float]) -> str:
+    """Say it in three sentences."""
+    return f"{grid.headline(said)} {sweeps.headline(said)}"
+
+
+def finding(cells: Sequence[CellRow], fits: Sequence[FitRow], formulations: Sequence[FormulationRow]) -> str:
+    """Say what was found; every number comes from the tables."""
+    return "\n".join([grid.finding(cells, grid.verdicts(cells)), "", *sweeps.finding(fits, formulations)])

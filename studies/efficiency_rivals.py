@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from planeopt.conic import conic_from_geometric, transform_conic
 
 Array = NDArray[np.float64]
+Fit = Callable[[Array], Array]
+"""From sets of points (D, N, 2) to ``B`` of (16), (D, 5), in the unit of the points."""
 
 
 def hyper(points: Array) -> Array:
@@ -69,7 +71,7 @@ def _symmetric(a: Array) -> Array:
     return (a + np.swapaxes(a, 1, 2)) / 2
 
 
-def opencv(fit: Callable[[Any], Any]) -> Callable[[Array], Array]:
+def opencv(fit: Callable[[Any], Any]) -> Fit:
     """Return a function from sets of points in pixels, (D, N, 2), to ``B`` (D, 5), by one of OpenCV's fits."""
 
     def fitted(points: Array) -> Array:

@@ -1,6 +1,6 @@
 """What the axes add up to: numbers for the headline, and the finding in words."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -17,7 +17,12 @@ Row = TypeVar("Row", FitRow, FormulationRow)
 def numbers(fits: Sequence[FitRow], formulations: Sequence[FormulationRow]) -> dict[str, float]:
     """Return the headline's numbers of the axes; each from the table and the column that `finding` names."""
     base, arc = _at(fits, "arc", BASE.arc), _at(fits, "arc", SHORT_ARC)
-    found: dict[str, float] = {"conic_fits": len(FITS)}
+    found: dict[str, float] = {
+        "base_depth_mm": BASE.depth_mm,
+        "base_tilt_deg": BASE.tilt_deg,
+        "base_noise_px": BASE.noise_px,
+        "conic_fits": len(FITS),
+    }
     for route in ROUTES:
         found[f"best_fit_over_bound_{route}"] = min(_over(base, route))
         found[f"worst_fit_over_bound_{route}"] = max(_over(base, route))
@@ -31,11 +36,12 @@ def numbers(fits: Sequence[FitRow], formulations: Sequence[FormulationRow]) -> d
     return found
 
 
-def headline(n: dict[str, float]) -> str:
+def headline(n: Mapping[str, float]) -> str:
     """Say it in two sentences."""
     return (
-        f"With the paper's beam, a plane at {BASE.depth_mm:g} mm tilted by {BASE.tilt_deg:g} degrees and "
-        f"{BASE.noise_px:g} px of noise, planes by the closed form from any of {n['conic_fits']:.0f} conic fits are at "
+        f"With the paper's beam, a plane at {n['base_depth_mm']:g} mm tilted by {n['base_tilt_deg']:g} degrees "
+        f"and {n['base_noise_px']:g} px of noise, planes by the closed form from any of "
+        f"{n['conic_fits']:.0f} conic fits are at "
         f"{_span(n['best_fit_over_bound_primal'], n['worst_fit_over_bound_primal'])} times the bound by the primal "
         f"route and at {_span(n['best_fit_over_bound_dual'], n['worst_fit_over_bound_dual'])} by the dual, with "
         f"points on {n['short_arc_percent']:.0f} % of the ellipse at "
@@ -44,11 +50,6 @@ def headline(n: dict[str, float]) -> str:
         f"Constrained, wherever it was tried, at {n['constrained_over_ml_least']:.3f} to "
         f"{n['constrained_over_ml_largest']:.3f}."
     )
-
-
-def base_numbers() -> dict[str, float]:
-    """Return what the headline says of the base case."""
-    return {"base_depth_mm": BASE.depth_mm, "base_tilt_deg": BASE.tilt_deg, "base_noise_px": BASE.noise_px}
 
 
 def fits_heading(fits: Sequence[FitRow]) -> str:

@@ -234,10 +234,11 @@ def _of_sweeps(sweeps: Sequence[SweepRow]) -> list[str]:
     return [
         f"**One axis at a time** (`sweeps.csv`), about a radius of {base.radius_px:g} px, a blur of {base.blur_px:g} "
         f"px, a contrast of {base.contrast:g} and noise of {base.noise:g} grey levels: largest bias, RMS distance of "
-        "the points from their mean at both ends, the same over the bound of the pixels' noise, refusals:",
+        "the points from their mean at both ends, the same over the bound of the pixels' noise, the "
+        "largest squared error of size, centre and axes over their own variance (column `own`), refusals:",
         "",
-        "| axis | kind | largest bias (px) | at | noise of points (px) | over the bound | refused |",
-        "|---|---|---|---|---|---|---|",
+        "| axis | kind | largest bias (px) | at | noise of points (px) | over the bound | own | refused |",
+        "|---|---|---|---|---|---|---|---|",
         *(
             _sweep_line([row for row in sweeps if (row.axis, row.kind) == pair])
             for pair in dict.fromkeys((row.axis, row.kind) for row in sweeps)
@@ -250,12 +251,13 @@ def _sweep_line(rows: Sequence[SweepRow]) -> str:
     found = [row for row in rows if np.isfinite(row.bias_px)]
     images = f"{sum(row.refused for row in rows)} of {sum(row.images for row in rows)}"
     if not found:
-        return f"| {first.axis} | {first.kind} | - | - | - | - | {images} |"
+        return f"| {first.axis} | {first.kind} | - | - | - | - | - | {images} |"
     worst = max(found, key=lambda row: abs(row.bias_px))
+    own = max(row.own for row in found)
     over = f"{first.points_over_bound:.2f} to {last.points_over_bound:.2f}"
     return (
         f"| {first.axis} | {first.kind} | {worst.bias_px:+.4f} +- {worst.bias_error_px:.4f} | {worst.value:g} | "
-        f"{first.points_px:.3f} to {last.points_px:.3f} | {over} | {images} |"
+        f"{first.points_px:.3f} to {last.points_px:.3f} | {over} | {own:.2f} | {images} |"
     )
 
 

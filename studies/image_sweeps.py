@@ -59,6 +59,8 @@ class SweepRow:
     images, refused : int
     bias_px, bias_error_px : float
         Mean signed distance of the points from the true boundary, and its standard error from the images' scatter.
+    least_error_px : float
+        The least that this error could be without speckle.
     points_px : float
         RMS distance of the points from their mean.
     points_over_bound : float
@@ -77,6 +79,7 @@ class SweepRow:
     refused: int
     bias_px: float
     bias_error_px: float
+    least_error_px: float
     points_px: float
     points_over_bound: float
     own: float
@@ -145,6 +148,7 @@ def _row(place: Place, outcomes: Sequence[Deviation | str]) -> SweepRow:
         refused=len(outcomes) - added.found,
         bias_px=added.mean.bias,
         bias_error_px=added.error.bias,
+        least_error_px=float(np.sqrt(added.mean.least_variance / added.found)) if added.found else np.nan,
         points_px=float(np.sqrt(added.mean.variance)),
         points_over_bound=float(np.sqrt(added.mean.points)),
         own=added.mean.own,

@@ -86,10 +86,10 @@ def _numbers(frames: Sequence[CombineRow], checks: Sequence[CheckRow]) -> dict[s
 def _headline(n: Mapping[str, float]) -> str:
     return (
         f"From {n['least_frames']:.0f} to {n['most_frames']:.0f} frames of one plane the spots' part of sigma falls by "
-        f"a factor of {n['spots_sigma_falls_by']:.1f}, the rig's by {n['rig_sigma_falls_by_percent']:.1f} %; the squared "
-        f"error over the covariance is {n['least_squared_error']:.2f} to {n['largest_squared_error']:.2f}, by weights "
-        f"that believe noisy sensitivities up to {n['largest_believing']:.1f}. {n['images_checked']:.0f} images call a "
-        f"right rig degraded in {n['called_degraded_percent']:.1f} % of {n['batches_checked']:.0f} batches; the sum of "
+        f"a factor of {n['spots_sigma_falls_by']:.1f}, the rig's by {n['rig_sigma_falls_by_percent']:.1f} %; the "
+        f"squared error over the covariance is {n['least_squared_error']:.2f} to {n['largest_squared_error']:.2f}, by "
+        f"weights that believe noisy sensitivities up to {n['largest_believing']:.1f}. "
+        f"{n['images_checked']:.0f} images call a right rig degraded in {n['called_degraded_percent']:.1f} % of {n['batches_checked']:.0f} batches; the sum of "
         f"their own chi-squareds would in {n['by_sum_percent']:.0f} %."
     )
 

@@ -28,12 +28,12 @@ NAMES = ("f", "cx", "cy", "e_x", "e_y", "radius", "direction_x", "direction_y")
 _SIGMAS = np.array([1.0, 0.5, 0.5, 0.04, 0.04, 0.005, 2e-4, 2e-4])
 _CORRELATIONS = (("e_x", "cx", -0.9), ("e_y", "cy", -0.9), ("f", "radius", 0.5))
 
-FRAMES = {"full": ((1, 400), (4, 400), (16, 400), (64, 200), (256, 60)), "quick": ((1, 60), (8, 60))}
+FRAMES = {"full": ((1, 400), (4, 400), (16, 400), (64, 200), (256, 60)), "quick": ((1, 40), (8, 20))}
 """Frames of a plane, and how often."""
 
 IMAGES = {"full": (1, 5, 20), "quick": (1, 4)}
 TURNS_MRAD = {"full": (0.0, 0.25, 0.5, 1.0, 2.0), "quick": (0.0, 4.0)}
-BATCHES = {"full": (1000, 200), "quick": (60, 20)}
+BATCHES = {"full": (1000, 200), "quick": (40, 10)}
 """Of a rig drawn from its covariance alone, and of one whose beam has turned besides."""
 
 

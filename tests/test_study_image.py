@@ -3,7 +3,6 @@
 Its full form is committed in `studies/results/image`, and held to the same.
 """
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass
 from pathlib import Path
@@ -13,11 +12,12 @@ import pytest
 import scipy.stats
 
 from studies import image
-from studies.__main__ import RESULTS, STUDIES
+from studies.__main__ import RESULTS
 from studies.image_cells import CellRow, Image, cells_of, measure_image, summary
 from studies.image_flags import FlagRow
 from studies.image_poses import CASES, HARD, Job, PoseRow, measure_pose
-from studies.image_summary import RIGHT, CaseRow, HonestyRow, cases_of, finding, headline, honesty_of
+from studies.image_summary import RIGHT, CaseRow, HonestyRow, cases_of, finding, headline, honesty_of, numbers
+from studies.image_sweeps import AXES, KINDS, SweepRow
 from studies.statistics import LEVEL
 from studies.study import Mode, read_rows, write
 
@@ -30,6 +30,7 @@ ENOUGH_PX = 0.001
 @dataclass(frozen=True)
 class Tables:
     cells: Sequence[CellRow]
+    sweeps: Sequence[SweepRow]
     cases: Sequence[CaseRow]
     honesty: Sequence[HonestyRow]
     flags: Sequence[FlagRow]
@@ -37,13 +38,20 @@ class Tables:
 
 
 def committed() -> Tables:
-    kinds = {"cells": CellRow, "cases": CaseRow, "honesty": HonestyRow, "flags": FlagRow, "poses": PoseRow}
+    kinds = {"cells": CellRow, "sweeps": SweepRow, "cases": CaseRow, "honesty": HonestyRow}
+    kinds |= {"flags": FlagRow, "poses": PoseRow}
     return Tables(**{name: read_rows(COMMITTED / f"{name}.csv", kind) for name, kind in kinds.items()})
 
 
 def complaints(tables: Tables) -> list[str]:
     """Everything that is asked of the measurement and does not hold, in words."""
-    families = (boundaries(tables.cells), cases(tables.cases), honesty(tables.honesty), flags(tables.flags))
+    families = (
+        boundaries(tables.cells),
+        axes(tables.sweeps),
+        cases(tables.cases),
+        honesty(tables.honesty),
+        flags(tables.flags),
+    )
     return [complaint for family in families for complaint in family]
 
 
@@ -73,6 +81,27 @@ def boundaries(rows: Sequence[CellRow]) -> Iterator[str]:
                 limit = max(limit, ENOUGH_PX / (row.least_error_px * np.sqrt(n)))
             if not over_bound < limit:
                 yield f"{what} {over_bound:.2f} times the bound, beyond {limit:.2f}: {row}"
+
+
+def axes(rows: Sequence[SweepRow]) -> Iterator[str]:
+    """As `boundaries`; with speckle, of which the bound knows nothing, by the scatter of the images themselves."""
+    tail = LEVEL / 2 / len(rows)
+    for row in rows:
+        n = row.images - row.refused
+        faint = row.axis == "contrast" and row.value < 20
+        if not faint and row.refused > scipy.stats.binom.isf(tail, row.images, 1 - RIGHT):
+            yield f"refused {row.refused} of {row.images}: {row}"
+        if n < 2:
+            continue
+        speckled = row.axis == "speckle" and row.value > 0
+        bias = BIAS_OVER_PX if row.axis == "over" and row.value > 1 else BIAS_PX
+        chance = scipy.stats.norm.isf(tail) * OVER_BOUND * row.least_error_px
+        if speckled:
+            chance = scipy.stats.t.isf(tail, n - 1) * row.bias_error_px
+        if not abs(row.bias_px) < bias + chance:
+            yield f"bias of {row.bias_px:.4f} px, beyond {bias + chance:.4f}: {row}"
+        if not speckled and not row.points_over_bound < OVER_BOUND:
+            yield f"noise {row.points_over_bound:.2f} times the bound: {row}"
 
 
 def cases(rows: Sequence[CaseRow]) -> Iterator[str]:
@@ -115,19 +144,23 @@ def test_the_full_study_as_committed() -> None:
     assert {row.case for row in tables.cases} == set(CASES)
     assert {(row.kind, row.over) for row in tables.cells} == {(k, o) for k in ("disc", "ring") for o in (1.0, 2.0)}
     assert sum(row.case == "plain" for row in tables.poses) >= 400
+    places = [(axis, value, kind) for axis, values in AXES.items() for value in values for kind in KINDS]
+    assert [(row.axis, row.value, row.kind) for row in tables.sweeps] == places
+    # Noise grows with blur and speckle, and falls with contrast, from one end to the other.
+    ends = {(row.axis, row.value, row.kind): row.points_px for row in tables.sweeps}
+    for kind in KINDS:
+        for axis, more in (("blur_px", True), ("contrast", False), ("speckle", True)):
+            assert (ends[axis, AXES[axis][-1], kind] > 1.4 * ends[axis, AXES[axis][0], kind]) is more
 
 
 def test_the_words_are_made_from_the_tables() -> None:
     tables = committed()
-    words = finding(tables.cells, tables.cases, tables.honesty, tables.flags)
+    words = finding(tables.cells, tables.cases, tables.honesty, tables.flags, tables.sweeps)
     assert words.rstrip() == (COMMITTED / "finding.md").read_text(encoding="utf-8").rstrip()
     assert [astuple(row) for row in cases_of(tables.poses)] == [astuple(row) for row in tables.cases]
     index = (RESULTS.parent / "README.md").read_text(encoding="utf-8")
-    assert headline(tables.cells, tables.cases, tables.honesty) in " ".join(index.split())
-    for name in STUDIES:
-        assert f"[{name}.py]({name}.py)" in index
-    for link in re.findall(r"\]\(([^)]+)\)", index):
-        assert (RESULTS.parent / link).exists(), link
+    said = headline(numbers(tables.cells, tables.cases, tables.honesty, tables.sweeps))
+    assert said in " ".join(index.split())
 
 
 def test_the_committed_numbers_are_those_of_this_code() -> None:
@@ -139,13 +172,13 @@ def test_the_committed_numbers_are_those_of_this_code() -> None:
         numbers = [[row.z_L_sigmas, row.p_sigmas, row.q_sigmas, row.mahalanobis] for row in (again, before)]
         np.testing.assert_allclose(*numbers, rtol=0.01, atol=0.01)
     full: Mode = "full"
-    chosen, count = next((c, n) for c, n in cells_of(full) if c.radius_px == 60 and c.kind == "disc")
-    again = summary(chosen, [measure_image(Image(chosen, draw)) for draw in range(count)])
+    chosen = next(c for c, _ in cells_of(full) if c.radius_px == 8 and c.kind == "disc")
     before = next(
         row
         for row in committed().cells
         if (row.kind, row.over, row.radius_px, row.blur_px, row.contrast, row.noise) == astuple(chosen)
     )
+    again = summary(chosen, [measure_image(Image(chosen, draw)) for draw in range(before.images)])
     assert again.bias_px == pytest.approx(before.bias_px, abs=1e-4)
     assert again.shape_over_bound == pytest.approx(before.shape_over_bound, rel=0.01)
 

@@ -17,7 +17,7 @@ def test_quick_form_is_within_its_limits_and_writes_its_files(tmp_path: Path) ->
     assert many_images.faults(frames, checks) == []
     write(result, tmp_path)
     names = {path.name for path in tmp_path.iterdir()}
-    assert names == {"frames.csv", "checks.csv", "many_images.png", "finding.md"}
+    assert names == {"frames.csv", "checks.csv", "many_images.png", "finding.md", "headline.csv"}
 
 
 def test_what_is_committed_is_within_its_limits_and_shows_what_is_claimed() -> None:
@@ -34,6 +34,15 @@ def test_what_is_committed_is_within_its_limits_and_shows_what_is_claimed() -> N
     assert all(row.degraded > 0.9 for row in turned)
     right = [row for row in checks if row.turn_mrad == 0 and row.images > 1]
     assert all(row.naive > 10 * max(row.degraded, 1e-3) for row in right)
+
+
+def test_the_words_are_made_from_the_tables() -> None:
+    said = many_images.result_of(
+        read_rows(RESULTS / "frames.csv", CombineRow), read_rows(RESULTS / "checks.csv", CheckRow)
+    )
+    assert (RESULTS / "finding.md").read_text(encoding="utf-8") == said.finding + "\n"
+    index = (RESULTS.parent.parent / "README.md").read_text(encoding="utf-8")
+    assert said.headline in " ".join(index.split())
 
 
 def test_a_fault_is_found() -> None:
