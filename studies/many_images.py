@@ -90,7 +90,8 @@ def _headline(n: Mapping[str, float]) -> str:
         f"squared error over the covariance is {n['least_squared_error']:.2f} to {n['largest_squared_error']:.2f}, by "
         f"weights that believe noisy sensitivities up to {n['largest_believing']:.1f}. "
         f"{n['images_checked']:.0f} images call a right rig degraded in "
-        f"{n['called_degraded_percent']:.1f} % of {n['batches_checked']:.0f} batches; the sum of their own chi-squareds would in {n['by_sum_percent']:.0f} %."
+        f"{n['called_degraded_percent']:.1f} % of {n['batches_checked']:.0f} batches; the sum of "
+        f"their own chi-squareds would in {n['by_sum_percent']:.0f} %."
     )
 
 
