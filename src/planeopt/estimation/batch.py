@@ -1,22 +1,22 @@
 """Many spots, one rig: the maximum-likelihood planes in arrays, and a status for each spot."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planeopt import equations as eq
-from planeopt.conic import arc_fraction, fit_conic, is_ellipse
+from planeopt.conic import fit_conic
 from planeopt.errors import InputError
 from planeopt.estimation import evidence
-from planeopt.estimation.efficiency import reach
-from planeopt.estimation.feet import Boundary
-from planeopt.estimation.points import STATUSES, PointsSolution, improbability, solve_points
-from planeopt.estimation.reservations import reservations
-from planeopt.estimation.rig_effect import RigEffect, rig_effect
-from planeopt.estimation.second_order import fineness, misfit_covariance, typical_sigma
+from planeopt.estimation.batch_pieces import Solved, solve_spots
+from planeopt.estimation.efficiency import Reach, minor_axes
+from planeopt.estimation.points import STATUSES, PointsSolution, improbability
+from planeopt.estimation.reservations import reservations, slope_sigmas
+from planeopt.estimation.rig_effect import RigEffect
+from planeopt.estimation.second_order import fineness, misfit_covariance
 from planeopt.plane import Plane, SpotPose
 from planeopt.rig import Rig
 from planeopt.solution import Flag, RigTest, Solution, Status
@@ -28,9 +28,9 @@ Array = NDArray[np.float64]
 FORMULATION = "Reprojection"
 SOLVER = "Batch"
 
-_REACH_POINTS = 1 << 12
-
-_UNUSABLE = STATUSES.index(Status.UNUSABLE)
+_UNUSABLE, _CONVERGED, _INCONSISTENT = (
+    STATUSES.index(status) for status in (Status.UNUSABLE, Status.CONVERGED, Status.INCONSISTENT)
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,25 +163,23 @@ def solve_batch(spots: Sequence[Spot], rig: Rig, *, robust: float | None = None)
     """
     beam = rig.require_beam()
     setup = eq.Setup(rig.focal_length, *rig.laser_offset, beam.radius)
-    points = _on_laser_plane(spots, rig)
-    known = np.array([spot.sigma is not None for spot in spots], dtype=bool)
-    found = solve_points(points.mm, points.noise, setup, counts=points.counts, robust=robust, scale_known=known)
-    effect = _effect(found, points, rig, setup)
+    solved = solve_spots(spots, rig, setup, robust)
+    found, effect = solved.points, solved.effect
     sigma = rig.covariance_matrix
     rig_covariance = effect.plane_by_rig @ sigma @ np.swapaxes(effect.plane_by_rig, 1, 2)
-    ratio, excess = _reach(found, points, setup)
+    reached = _reach(solved, setup)
+    ratio = reached.sigma_over_axis
     fine = fineness(np.where(np.isfinite(ratio), ratio, 0.0), found.counts)
     chi2, p_value = _test(found, effect, sigma, fine, robust)
-    status = _statuses(found, p_value)
+    codes = _tested(found.codes, p_value)
     along = found.planes - [rig.axial_shift, 0.0, 0.0]
     normal, point = rig.plane_arrays(*along.T)
-    arc = _arcs(found, points, setup)
     chi2_points = np.where((found.scale_dof < 0) & (robust is None), found.cost, np.nan)
     dof_points = np.maximum(found.counts - 3, 0)
-    raised = reservations(along, found.covariance + rig_covariance, excess, arc, chi2_points, dof_points)
+    raised = reservations(along, found.covariance + rig_covariance, reached.excess, solved.arc, chi2_points, dof_points)
     return BatchSolution(
-        status=status,
-        message=tuple(_message(i, status[i], points, chi2[i], p_value[i]) for i in range(len(status))),
+        status=tuple(STATUSES[code] for code in codes.tolist()),
+        message=_messages(codes, spots, rig, chi2, p_value),
         planes=along,
         spot_covariance=found.covariance,
         rig_covariance=rig_covariance,
@@ -197,82 +195,11 @@ def solve_batch(spots: Sequence[Spot], rig: Rig, *, robust: float | None = None)
         chi2_points=chi2_points,
         dof_points=dof_points,
         n_points=found.counts,
-        arc_fraction=arc,
+        arc_fraction=solved.arc,
         scale=found.scale,
-        flags=tuple(
-            (*spot.flags, *_of_scale(found, i, rig), *flags)
-            for i, (spot, flags) in enumerate(zip(spots, raised, strict=True))
-        ),
+        flags=_flags(spots, found, rig, raised),
         rig=rig,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Points:
-    """Points of all spots on the laser-parallel image plane, rows filled up with their own; none of unusable spots."""
-
-    mm: Array
-    noise: Array
-    rays: Array
-    counts: NDArray[np.int64]
-    refusals: dict[int, str]
-
-
-def _on_laser_plane(spots: Sequence[Spot], rig: Rig) -> _Points:
-    """All points in one call; only where some pixel has no ray are the spots looked at one by one."""
-    refusals = _without_rays(spots, rig)
-    used = [i for i in range(len(spots)) if i not in refusals]
-    lengths = np.array([len(spot) if i not in refusals else 0 for i, spot in enumerate(spots)], dtype=np.int64)
-    longest = int(np.max(lengths, initial=0))
-    mm, rays = np.zeros((len(spots), longest, 2)), np.zeros((len(spots), longest, 2))
-    noise = np.zeros((len(spots), longest, 2, 2))
-    if used:
-        pixels = np.concatenate([spots[i].points for i in used])
-        sigma = np.concatenate([_sigma(spots[i]) for i in used])
-        there = np.arange(longest) < lengths[:, None]
-        mm[there], jacobian = rig.to_laser_plane(pixels)
-        noise[there] = jacobian @ np.swapaxes(jacobian, 1, 2) * (sigma**2)[:, None, None]
-        rays[there] = rig.camera.normalise(pixels)[0]
-        again = np.arange(longest) % np.maximum(lengths, 1)[:, None]
-        row = np.arange(len(spots))[:, None]
-        mm, noise = mm[row, again], noise[row, again]
-    return _Points(mm, noise, rays, lengths, refusals)
-
-
-def _sigma(spot: Spot) -> Array:
-    return np.ones(len(spot)) if spot.sigma is None else spot.sigma
-
-
-def _without_rays(spots: Sequence[Spot], rig: Rig) -> dict[int, str]:
-    """Spots with a pixel that no ray of this camera reaches, and why."""
-    try:
-        if spots:
-            rig.to_laser_plane(np.concatenate([spot.points for spot in spots]))
-    except InputError:
-        return {i: reason for i, spot in enumerate(spots) if (reason := _refusal(spot, rig))}
-    return {}
-
-
-def _refusal(spot: Spot, rig: Rig) -> str:
-    try:
-        rig.to_laser_plane(spot.points)
-    except InputError as reason:
-        return str(reason)
-    return ""
-
-
-def _effect(found: PointsSolution, points: _Points, rig: Rig, setup: eq.Setup) -> RigEffect:
-    """Of the rows that have a plane and a known scale; NaN elsewhere."""
-    rows = np.flatnonzero(np.isfinite(found.covariance).all(axis=(1, 2)))
-    noise = points.noise[rows] * (found.scale[rows] ** 2)[:, None, None, None]
-    some = rig_effect(rig, setup, found.planes[rows], points.mm[rows], noise, points.rays[rows], found.counts[rows])
-
-    def spread(values: Array) -> Array:
-        full = np.full((len(found), *values.shape[1:]), np.nan)
-        full[rows] = values
-        return full
-
-    return RigEffect(*(spread(getattr(some, field.name)) for field in fields(RigEffect)))
 
 
 def _test(
@@ -287,75 +214,61 @@ def _test(
     return chi2, improbability(chi2, found.scale_dof)
 
 
-def _statuses(found: PointsSolution, p_value: Array) -> tuple[Status, ...]:
-    """As the points alone have them, but for the rig's part in the test of the rig."""
-    tested = (Status.CONVERGED, Status.INCONSISTENT)
-    return tuple(
-        status if status not in tested else tested[int(not p >= evidence.IMPROBABLE)]
-        for status, p in zip(found.status, p_value, strict=True)
-    )
+def _tested(codes: NDArray[np.int64], p_value: Array) -> NDArray[np.int64]:
+    """Statuses as the points alone have them, but for the rig's part in the test of the rig."""
+    good = np.where(p_value >= evidence.IMPROBABLE, _CONVERGED, _INCONSISTENT)
+    return np.where(np.isin(codes, (_CONVERGED, _INCONSISTENT)), good, codes)
 
 
-def _message(i: int, status: Status, points: _Points, chi2: float, p_value: float) -> str:
-    if status is Status.INCONSISTENT:
-        numbers = f"chi-squared {chi2:.4g} with {evidence.DOF} degrees of freedom, p = {p_value:.1e}"
-        return f"{status.value} ({numbers})"
-    if status is Status.UNUSABLE:
-        return f"{status.value} {points.refusals.get(i) or _no_ellipse(points, i)}".rstrip()
-    return status.value
+def _messages(
+    codes: NDArray[np.int64], spots: Sequence[Spot], rig: Rig, chi2: Array, p_value: Array
+) -> tuple[str, ...]:
+    sentences = [status.value for status in STATUSES]
+    made = [sentences[code] for code in codes.tolist()]
+    for i in np.flatnonzero(codes == _INCONSISTENT).tolist():
+        made[i] += f" (chi-squared {chi2[i]:.4g} with {evidence.DOF} degrees of freedom, p = {p_value[i]:.1e})"
+    for i in np.flatnonzero(codes == _UNUSABLE).tolist():
+        made[i] = f"{made[i]} {_refusal(spots[i], rig)}".rstrip()
+    return tuple(made)
 
 
-def _no_ellipse(points: _Points, i: int) -> str:
-    n = points.counts[i]
+def _refusal(spot: Spot, rig: Rig) -> str:
     try:
-        fit_conic(points.mm[i, :n], points.noise[i, :n])
+        mm, jacobian = rig.to_laser_plane(spot.points)
+        sigma = np.ones(len(spot)) if spot.sigma is None else spot.sigma
+        fit_conic(mm, jacobian @ np.swapaxes(jacobian, 1, 2) * (sigma**2)[:, None, None])
     except InputError as reason:
         return str(reason)
     return ""
 
 
-def _of_scale(found: PointsSolution, i: int, rig: Rig) -> Iterator[Flag]:
-    if found.codes[i] != _UNUSABLE:
-        if found.scale_dof[i] >= 0:
-            yield Flag.SCALE_ESTIMATED
-        if found.floored[i]:
-            yield Flag.SCALE_AT_FLOOR
-        if rig.covariance is None:
-            yield Flag.RIG_WITHOUT_COVARIANCE
-        if rig.refused is not None:
-            yield Flag.RIG_REFUSED
+def _flags(
+    spots: Sequence[Spot], found: PointsSolution, rig: Rig, raised: list[tuple[Flag, ...]]
+) -> tuple[tuple[Enum, ...], ...]:
+    """The spots' own, those of the noise's scale and of the rig, and those of the planes; alike tuples are one."""
+    used = found.codes != _UNUSABLE
+    of_rig = [rig.covariance is None, rig.refused is not None]
+    estimated, floored = used & (found.scale_dof >= 0), used & found.floored
+    made: dict[tuple[object, ...], tuple[Enum, ...]] = {}
+    flags = []
+    for spot, *marks, others in zip(spots, used.tolist(), estimated.tolist(), floored.tolist(), raised, strict=True):
+        key = (spot.flags, *marks, others)
+        if key not in made:
+            told = zip(_OF_USED, (marks[1], marks[2], *(marks[0] and mark for mark in of_rig)), strict=True)
+            made[key] = (*spot.flags, *(flag for flag, raise_it in told if raise_it), *others)
+        flags.append(made[key])
+    return tuple(flags)
 
 
-def _reach(found: PointsSolution, points: _Points, setup: eq.Setup) -> tuple[Array, Array]:
-    """`Reach.sigma_over_axis` and `Reach.excess` (M,) of the rows.
-
-    A few at a time, since each is looked at from six planes about its own.
-    """
-    ratio, excess = np.full(len(found), np.nan), np.full(len(found), np.nan)
-    known = np.flatnonzero(np.isfinite(found.covariance).all(axis=(1, 2)))
-    longest = points.mm.shape[1]
-    if not len(known):
-        return ratio, excess
-    for rows in np.array_split(known, 1 + len(known) * longest // _REACH_POINTS):
-        noise = points.noise[rows] * (found.scale[rows] ** 2)[:, None, None, None]
-        boundary = Boundary.of(points.mm[rows], noise, np.arange(longest) < found.counts[rows, None])
-        sigma = typical_sigma(noise)
-        reached = reach(setup, found.planes[rows], found.covariance[rows], boundary, sigma)
-        ratio[rows], excess[rows] = reached.sigma_over_axis, reached.excess
-    return ratio, excess
+_OF_USED = (Flag.SCALE_ESTIMATED, Flag.SCALE_AT_FLOOR, Flag.RIG_WITHOUT_COVARIANCE, Flag.RIG_REFUSED)
 
 
-def _arcs(found: PointsSolution, points: _Points, setup: eq.Setup) -> Array:
-    """Fractions (M,) of the planes' ellipses that the points cover; spots with as many points go together."""
-    arcs = np.full(len(found), np.nan)
-    solved = np.isfinite(found.planes).all(axis=1)
-    for n in np.unique(found.counts[solved]):
-        rows = np.flatnonzero(solved & (found.counts == n))
-        z_L, p, q = found.planes[rows].T
-        conics = eq.image_conic_in_slopes(np, eq.SlopeVariables(None, z_L, p, q), setup)
-        b = np.stack(np.broadcast_arrays(*conics), axis=-1)
-        B = b[:, 1:] / b[:, :1]
-        # A plane found in points that are no spot's may have an ellipse that rounding opens.
-        closed = is_ellipse(B)
-        arcs[rows[closed]] = arc_fraction(B[closed], points.mm[rows[closed], :n])
-    return arcs
+def _reach(solved: Solved, setup: eq.Setup) -> Reach:
+    """Where the bound can be reached; NaN where a spot has no covariance."""
+    found = solved.points
+    known = np.flatnonzero(~np.isnan(solved.curvature))
+    made = Reach(*np.full((3, len(found)), np.nan))
+    made.curvature[known] = solved.curvature[known]
+    made.sigma_over_axis[known] = solved.sigma[known] * found.scale[known] / minor_axes(setup, found.planes[known])
+    made.slope_sigma[known] = slope_sigmas(found.covariance[known])
+    return made

@@ -199,7 +199,7 @@ def descend(boundary: Boundary, setup: eq.Setup, start: Array, counts: Counts, l
             scale = loss.scale(now.distance, counts, scale)
             cost = loss.cost(now.distance, scale)
             step, decrement = _step(now, loss, scale, damping)
-            step *= _share_within(now.planes, step, setup)[:, None]
+            step *= share_within(now.planes, step, setup)[:, None]
             target = now.planes + step
             done = (decrement <= STEP_TOLERANCE**2 * np.maximum(1.0, cost / counts)) & (damping <= NEGLIGIBLE)
             done |= np.all(np.abs(step) <= 4 * np.finfo(float).eps * _size(now.planes), axis=-1)
@@ -269,7 +269,7 @@ def within_bounds(planes: Array, setup: eq.Setup) -> NDArray[np.bool_]:
     return seen(planes, setup) & (planes[..., 0] < FARTHEST * setup.r) & (slope < np.tan(STEEPEST))
 
 
-def _share_within(planes: Array, step: Array, setup: eq.Setup) -> Array:
+def share_within(planes: Array, step: Array, setup: eq.Setup) -> Array:
     """The largest power of 1/2 (M,) by which a step ends within the bounds."""
     share = np.ones(len(planes))
     for _ in range(50):

@@ -6,7 +6,7 @@ in the plane over the plane's own uncertainty and the noise is small against the
 elsewhere errors are larger than the bound, and intervals of first order too short.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from planeopt import equations as eq
 from planeopt.conic import geometric_from_conic, is_ellipse
 from planeopt.estimation.descent import at_planes, within_bounds
-from planeopt.estimation.feet import Boundary, Conics, feet
+from planeopt.estimation.feet import Boundary
+from planeopt.estimation.images import SPAN, Images, conics_at
 from planeopt.estimation.reservations import slope_sigmas
 from planeopt.estimation.second_order import typical_sigma
+from planeopt.estimation.tangents import Cloud, Tangents, combinations, complete, products, tangents, value_and_gradient
 from planeopt.formulations.problem import Problem
 
 Array = NDArray[np.float64]
@@ -40,9 +42,10 @@ class Reach:
     sigma_over_axis : (M,)
         Median standard deviation of the points over the minor semi-axis of the image ellipse.
     curvature : (M,)
-        ``K = max |P_T (g(u + d) + g(u - d) - 2 g(u))|`` over one-sigma steps ``d`` along the eigenvectors of the
-        covariance of ``u = (log z_L, p, q)``; ``g`` the boundary in standard deviations of the points, ``P_T`` the
-        projection on what a plane can change to first order. Infinite where a step leaves what can be seen.
+        ``K = max |P_T (g(u + d) + g(u - d) - 2 g(u))|``, to second order, over one-sigma steps ``d`` along the
+        eigenvectors of the covariance of ``u = (log z_L, p, q)``; ``g`` the boundary in standard deviations of the
+        points, ``P_T`` the projection on what a plane can change to first order. Infinite where a step leaves what can
+        be seen.
     slope_sigma : (M,)
         Largest standard deviation of a slope in any direction.
     """
@@ -150,24 +153,83 @@ def minor_axes(setup: eq.Setup, planes: Array) -> Array:
 
 def curvatures(setup: eq.Setup, planes: Array, covariance: Array, boundary: Boundary) -> Array:
     """Tangential curvatures K (M,) as `Reach` has them."""
+    cloud, images = _cloud(boundary), Images.of(setup)
+    found = at_planes(planes, boundary, setup)[1]
+    feet = cloud.monomials()
+    feet[3] -= found.dx * boundary.unit[:, None]
+    feet[4] -= found.dy * boundary.unit[:, None]
+    complete(feet)
+    at, by_plane = images.coordinates(planes, cloud.origin)
+    seen = tangents(cloud, conics_at(at), feet)
+    information = SPAN.T @ seen.sums()[:, :, :6] @ SPAN
+    return curvatures_seen(setup, images, planes, covariance, cloud.origin, seen, (at, by_plane, information))
+
+
+def curvatures_seen(
+    setup: eq.Setup,
+    images: Images,
+    planes: Array,
+    covariance: Array,
+    origin: Array,
+    seen: Tangents,
+    ellipses: tuple[Array, Array, Array],
+) -> Array:
+    """`curvatures`, from the points at the planes' ellipses.
+
+    A point ``y`` of the ellipse ``F = 0`` has from the ellipse of ``u + d`` the signed distance ``s + s^2 (V g)' A V g
+    / h^3`` to second order, ``s = F_d(y) / |grad F_d(y)|_V``, ``g = grad F``, ``h = |g|_V``, A the quadratic part of
+    F. Its even part in d is half of what is wanted.
+
+    Parameters
+    ----------
+    ellipses : (M, 5), (M, 5, 3) and (M, 5, 5)
+        Coordinates of the ellipses, their derivatives by the planes, and the points' information on them.
+    """
+    at, by_plane, information = ellipses
     size = np.stack([planes[:, 0], np.ones(len(planes)), np.ones(len(planes))], axis=-1)
     values, vectors = np.linalg.eigh(covariance / (size[:, :, None] * size[:, None, :]))
     steps = np.swapaxes(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :], 1, 2)
     steps = np.concatenate([steps, -steps], axis=1)
-    far = planes[:, :1, None] * np.exp(steps[..., :1])
-    moved = np.concatenate([far, planes[:, None, 1:] + steps[..., 1:]], axis=-1)
+    moved = planes[:, None, :] + steps
+    moved[..., 0] = planes[:, :1] * np.exp(steps[..., 0])
     visible = within_bounds(moved, setup)
-    moved = np.where(visible[..., None], moved, planes[:, None, :])
-    on_curve = replace(boundary, monomials=at_planes(planes, boundary, setup)[2])
-    shared = on_curve.for_several_planes()
-    # On the boundary itself g(u) is zero.
-    shifted = feet(Conics.of(moved, setup, shared), shared).distance
-    second = shifted[:, :3] + shifted[:, 3:]
-    rows = _tangents(setup, planes, on_curve)
-    tangent = np.linalg.qr(np.swapaxes(rows, -1, -2))[0]
-    bent = np.linalg.norm(second @ tangent, axis=-1)
-    bent = np.where(visible[:, :3] & visible[:, 3:], bent, np.inf)
-    return np.max(bent, axis=-1)
+    first, second = images.differences(planes, moved, origin)
+    # F_d, the components of its gradient, and F_dd, of three directions.
+    coefficients = np.concatenate([value_and_gradient(first.reshape(-1, 6)).reshape(-1, 9, 6), second], axis=1)
+    rows = combinations(coefficients, seen.monomials)
+    (ax, ay), weight = seen.carried, seen.weight
+    conics = conics_at(at)
+    across = (conics[:, :1] * ax + conics[:, 1:2] * ay) * ax + conics[:, 2:3] * ay * ay
+    across *= weight
+    changes = np.empty((3, *weight.shape))
+    for k in range(3):
+        value, gx, gy, bent = rows[3 * k], rows[3 * k + 1], rows[3 * k + 2], rows[9 + k]
+        # (F_dd - 2 F_d (V g)' grad F_d / h^2 + 2 F_d^2 (V g)' A (V g) / h^4) / h^2
+        gx *= ax
+        gy *= ay
+        gx += gy
+        np.multiply(value, across, out=gy)
+        gx -= gy
+        gx *= value
+        gx *= weight
+        gx *= -2
+        gx += bent
+        np.multiply(gx, weight, out=changes[k])
+    along = np.swapaxes(by_plane, 1, 2) @ (SPAN.T @ products(seen.monomials, changes))
+    own = np.swapaxes(by_plane, 1, 2) @ information @ by_plane
+    bent = np.sqrt(np.einsum("mik,mik->mk", along, np.linalg.solve(own, along)))
+    return np.max(np.where(visible[:, :3] & visible[:, 3:], bent, np.inf), axis=-1)
+
+
+def _cloud(boundary: Boundary) -> Cloud:
+    unit = boundary.unit[:, None]
+    used = np.broadcast_to(boundary.weight > 0, boundary.x.shape)
+    if boundary.precision[0].ndim == 0:
+        sigma = unit / np.where(boundary.weight > 0, boundary.weight, 1.0)
+        xx, xy, yy = np.broadcast_to(sigma * sigma, boundary.x.shape), None, None
+    else:
+        xx, xy, yy = (part * unit * unit for part in boundary.covariance)
+    return Cloud(boundary.x * unit, boundary.y * unit, boundary.origin, xx, xy, yy, used)
 
 
 def _tangents(setup: eq.Setup, planes: Array, boundary: Boundary) -> Array:

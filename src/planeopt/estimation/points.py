@@ -1,16 +1,19 @@
 """Maximum likelihood for many sets of boundary points on the laser-parallel image plane: arrays in, arrays out."""
 
-from dataclasses import dataclass, fields
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
-import scipy.stats
+import scipy.special
 from numpy.typing import ArrayLike, NDArray
 
 from planeopt import equations as eq
 from planeopt.estimation import evidence
 from planeopt.estimation.descent import Descent, Loss, at_planes, descend, solve_all, within_bounds
 from planeopt.estimation.feet import Boundary
+from planeopt.estimation.regular import FEW, Found, nearest_elsewhere, search
 from planeopt.estimation.sets import Sets, Starts, closed_form_starts, direct_planes, untilted_planes
+from planeopt.estimation.tangents import Cloud
 from planeopt.formulations.bounds import FARTHEST, STEEPEST
 from planeopt.solution import Status
 from planeopt.spot.points import MIN_POINTS
@@ -135,16 +138,22 @@ def solve_points(
     # Once this is freed, glibc keeps the memory of smaller arrays instead of returning it page by page after each
     # piece: half the time went there. Elsewhere it does nothing, and it touches no memory.
     np.empty(_KEPT, dtype=np.uint8)
-    order = np.argsort(given.counts, kind="stable")
-    lengths = np.maximum(given.counts[order], 1)
-    pieces, begin = [], 0
+    found = blank(len(given.counts), given.counts)
+    for rows, _ in alike(given.counts, CHUNK):
+        _put(found, rows, solve_piece(given.take(rows)).solution)
+    return found
+
+
+def alike(counts: NDArray[np.int64], chunk: int) -> Iterator[tuple[NDArray[np.intp], int]]:
+    """Rows (K,) of nearly the same length and the longest, piece by piece, so that little of a piece is padding."""
+    order = np.argsort(counts, kind="stable")
+    lengths = np.maximum(counts[order], 1)
+    begin = 0
     while begin < len(order):
-        # Rows of nearly the same length share a piece, so that little of it is padding.
-        alike = int(np.searchsorted(lengths, _ALIKE * lengths[begin], side="right"))
-        end = min(alike, begin + max(1, CHUNK // int(lengths[alike - 1])))
-        pieces.append(_solve_piece(given.take(order[begin:end])))
+        end = int(np.searchsorted(lengths, _ALIKE * lengths[begin], side="right"))
+        end = min(end, begin + max(1, chunk // int(lengths[end - 1])))
+        yield order[begin:end], int(lengths[end - 1])
         begin = end
-    return _joined(pieces, order)
 
 
 def improbability(chi2: Array, scale_dof: NDArray[np.int64]) -> Array:
@@ -153,15 +162,7 @@ def improbability(chi2: Array, scale_dof: NDArray[np.int64]) -> Array:
     return np.where(scale_dof < 0, np.exp(-chi2 / 2), (1 + chi2 / dof) ** (-dof / 2))
 
 
-def _joined(pieces: list[PointsSolution], order: NDArray[np.intp]) -> PointsSolution:
-    back = np.argsort(order)
-    names = [field.name for field in fields(PointsSolution)]
-    if not pieces:
-        return _blank(0, np.zeros(0, dtype=np.int64))
-    return PointsSolution(*(np.concatenate([getattr(piece, name) for piece in pieces])[back] for name in names))
-
-
-def _blank(m: int, counts: NDArray[np.int64]) -> PointsSolution:
+def blank(m: int, counts: NDArray[np.int64]) -> PointsSolution:
     """Rows of which nothing can be said."""
     nan = np.full(m, np.nan)
     return PointsSolution(
@@ -183,16 +184,99 @@ def _put(into: PointsSolution, rows: NDArray[np.intp], values: PointsSolution) -
         getattr(into, field.name)[rows] = getattr(values, field.name)
 
 
-def _solve_piece(given: Sets) -> PointsSolution:
-    found = _blank(len(given.counts), given.counts)
-    if given.points.shape[1] < MIN_POINTS:
-        return found
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Spots solved together.
+
+    Attributes
+    ----------
+    solution : PointsSolution
+    cloud : Cloud or None
+        Their points, where any row could be used.
+    feet : (6, M, N) array
+        Monomials of the points' feet on the planes' ellipses, about the cloud's origins; not for rows that `regular`
+        leaves out.
+    regular : (M,) of bool
+    factor : (M,)
+        What the cloud's noise is of the given one.
+    sigma : (M,)
+        Typical standard deviation of the points as given, mm; NaN where none is usable.
+    """
+
+    solution: PointsSolution
+    cloud: Cloud | None
+    feet: Array
+    regular: Bools
+    factor: Array
+    sigma: Array
+
+    def take(self, rows: NDArray[np.intp]) -> "Piece":
+        """Return some of the spots."""
+        cloud = None if self.cloud is None else self.cloud.take(rows)
+        feet = self.feet if self.cloud is None else self.feet[:, rows]
+        solution = _rows(self.solution, rows)
+        return Piece(solution, cloud, feet, self.regular[rows], self.factor[rows], self.sigma[rows])
+
+
+def solve_piece(given: Sets) -> Piece:
+    """Solve rows of nearly the same length, some ten thousand points: quickly where they are regular."""
+    m, n = given.points.shape[:2]
+    found, nan = blank(m, given.counts), np.full(m, np.nan)
+    none = Piece(blank(m, given.counts), None, np.empty((6, 0, 0)), np.zeros(m, dtype=bool), np.ones(m), nan)
+    if n < MIN_POINTS:
+        return none
     given = given.filled()
-    rows = np.flatnonzero(given.usable())
-    if len(rows) < len(found):
-        given = given.take(rows).filled()
-    if not len(rows):
-        return found
+    usable = given.usable()
+    if not np.any(usable):
+        return none
+    with np.errstate(all="ignore"):  # of rows that are not usable
+        factor, typical = given.floor()
+    if given.robust is not None or n < FEW or np.isfinite(given.start).any():
+        rows = np.flatnonzero(usable)
+        _put(found, rows, _solve_rows(given if len(rows) == m else given.take(rows).filled()))
+        return replace(none, solution=found, sigma=typical)
+    used = None if np.all(given.counts == n) else np.arange(n) < given.counts[:, None]
+    cloud = Cloud.of(given.points, given.noise, factor, used)
+    fast = search(cloud, given.setup, given.counts, given.known)
+    judged = _of_regular(fast, replace(given, factor=factor))
+    _put(found, np.arange(m), judged)
+    regular = fast.regular & usable & ~np.isin(judged.codes, _NOWHERE)
+    doubtful = np.flatnonzero(regular & (np.isin(judged.codes, _POOR) | _scattered(judged, given)))
+    if len(doubtful):
+        regular[doubtful[_is_lower_elsewhere(fast, doubtful, cloud, given.setup)]] = False
+    others = np.flatnonzero(usable & ~regular)
+    if len(others):
+        _put(found, others, _solve_rows(given.take(others).filled()))
+    lost = np.flatnonzero(~usable)
+    if len(lost):
+        _put(found, lost, _rows(none.solution, lost))
+    return Piece(found, cloud, fast.feet, regular, factor, typical)
+
+
+def _is_lower_elsewhere(fast: Found, rows: NDArray[np.intp], cloud: Cloud, setup: eq.Setup) -> Bools:
+    """Whether a search for some rows ends nearer to the points if it starts untilted, or tilted to the other side."""
+    planes = fast.planes[rows]
+    lower = np.zeros(len(rows), dtype=bool)
+    for slopes in (0.0, -1.0):
+        starts = planes * [1.0, slopes, slopes]
+        starts = np.where(within_bounds(starts, setup)[:, None], starts, planes * [1.0, 0.0, 0.0])
+        lower |= nearest_elsewhere(fast, rows, starts, setup, cloud.origin)
+    return lower
+
+
+def _of_regular(fast: Found, given: Sets) -> PointsSolution:
+    """Covariances, evidence and statuses of planes by the sums over their points."""
+    by_plane, quadratic = fast.by_plane, fast.quadratic
+    with np.errstate(all="ignore"):  # what is not regular is done again
+        information = np.swapaxes(by_plane, 1, 2) @ quadratic.information @ by_plane
+        sums = _Sums(information, quadratic.information, quadratic.score, quadratic.cost)
+        return _concluded(fast.planes, sums, given, fast.regular, fast.rounds, np.ones(len(given.counts)), 1.0)
+
+
+def _solve_rows(given: Sets) -> PointsSolution:
+    """Solve rows of which nothing is taken for granted but that their numbers are numbers."""
+    found = blank(len(given.counts), given.counts)
+    rows = np.arange(len(found))
     given = given.floored()
     starts = closed_form_starts(given)
     kept = np.flatnonzero(~starts.straight)
@@ -215,7 +299,7 @@ def _solve_piece(given: Sets) -> PointsSolution:
 
 def _scattered(solution: PointsSolution, given: Sets) -> Bools:
     """Where the points scatter about the plane's ellipse by more than their given noise."""
-    excess = scipy.stats.chi2.sf(solution.cost, np.maximum(solution.counts - 3, 1)) < evidence.IMPROBABLE
+    excess = scipy.special.chdtrc(np.maximum(solution.counts - 3, 1), solution.cost) < evidence.IMPROBABLE
     return given.known & excess & (given.robust is None)
 
 
@@ -265,27 +349,56 @@ def _judged(ended: Descent, boundary: Boundary, loss: Loss, given: Sets) -> Poin
             weighted = loss.weights(found.distance, scale) * scale[:, None] ** 2 * found.distance
             cost = np.einsum("mi,mi->m", weighted, found.distance)
             score = np.einsum("mki,mi->mk", rows[:, 3:8], weighted)
-        chi2 = _explained(products[:, 3:8, 3:8], score) / loss.information
-        inverse, weakest = _inverse(products[:, :3, :3])
-        scale_dof = np.where(given.known, -1, counts - 5)
-        if loss.robust is None:
-            free2 = np.maximum(1.0, (cost - chi2) / np.maximum(scale_dof, 1))
-        else:
-            free2 = np.maximum(1.0, scale**2 * counts / np.maximum(counts - 3, 1))
-        scale2 = np.where(scale_dof > 0, free2, 1.0)
-        solution = PointsSolution(
-            planes=ended.planes,
-            covariance=inverse * (scale2 / loss.information)[:, None, None],
-            cost=cost / scale2,
-            chi2=chi2 / scale2,
-            scale=given.factor * np.sqrt(scale2),
-            scale_dof=scale_dof,
-            floored=np.where(given.known, given.factor > 1, (scale_dof > 0) & (scale2 == 1)),
-            counts=counts,
-            codes=np.full(len(counts), _code(Status.CONVERGED)),
-            steps=ended.steps,
-        )
-        _judge(solution, ended.converged, weakest, given.setup)
+        sums = _Sums(products[:, :3, :3], products[:, 3:8, 3:8], score, cost)
+        return _concluded(ended.planes, sums, given, ended.converged, ended.steps, scale, loss.information)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Sums over the points of squares and products of the distances, in standard deviations, and their derivatives."""
+
+    by_plane: Array
+    """(M, 3, 3), by planes with planes."""
+    by_ellipse: Array
+    """(M, 5, 5), by five coordinates of an ellipse."""
+    score: Array
+    """(M, 5), distances with derivatives by these."""
+    cost: Array
+    """(M,), distances squared."""
+
+
+def _concluded(
+    planes: Array,
+    sums: _Sums,
+    given: Sets,
+    converged: Bools,
+    steps: NDArray[np.int64],
+    scale: Array,
+    information: float,
+) -> PointsSolution:
+    """Covariances, evidence and statuses; `scale` and `information` are of the loss."""
+    counts = given.counts
+    chi2 = _explained(sums.by_ellipse, sums.score) / information
+    inverse, weakest = _inverse(sums.by_plane)
+    scale_dof = np.where(given.known, -1, counts - 5)
+    if given.robust is None:
+        free2 = np.maximum(1.0, (sums.cost - chi2) / np.maximum(scale_dof, 1))
+    else:
+        free2 = np.maximum(1.0, scale**2 * counts / np.maximum(counts - 3, 1))
+    scale2 = np.where(scale_dof > 0, free2, 1.0)
+    solution = PointsSolution(
+        planes=planes,
+        covariance=inverse * (scale2 / information)[:, None, None],
+        cost=sums.cost / scale2,
+        chi2=chi2 / scale2,
+        scale=given.factor * np.sqrt(scale2),
+        scale_dof=scale_dof,
+        floored=np.where(given.known, given.factor > 1, (scale_dof > 0) & (scale2 == 1)),
+        counts=counts,
+        codes=np.full(len(counts), _code(Status.CONVERGED)),
+        steps=steps,
+    )
+    _judge(solution, converged, weakest, given.setup)
     return solution
 
 

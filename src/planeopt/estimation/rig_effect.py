@@ -1,4 +1,12 @@
-"""First-order effect of the rig's uncertainty on many planes, and on what each spot says about the rig."""
+"""First-order effect of the rig's uncertainty on many planes, and on what each spot says about the rig.
+
+The raw pixels are held fixed. A point's signed distance ``d = m sqrt(grad F' V grad F)`` from the image of its
+plane's spot changes with a point of the image plane by ``grad F / sqrt(grad F' V grad F)``, taken at its foot, and
+with the ellipse by its coefficients. A camera's parameter moves the point as a pixel moved the other way would; the
+beam's offset and radius change the ellipse; its direction turns both, which on the ellipse is a change of its
+coefficients too. By the implicit function theorem the plane moves by ``-(J'J)^-1 J' dd/d eta``, J the distances'
+derivatives by the plane.
+"""
 
 from dataclasses import dataclass
 
@@ -6,15 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planeopt import equations as eq
-from planeopt.estimation.descent import at_planes
-from planeopt.estimation.feet import Boundary
-from planeopt.estimation.rig_part import PARAMETERS, SEEN, axial_shift_by_rig, free_parameters, point_derivatives
+from planeopt.estimation.images import BEAM, SPAN, BeamImages, Images, conics_at
+from planeopt.estimation.regular import Quadratic
+from planeopt.estimation.rig_part import CAMERA, PARAMETERS, SEEN, free_parameters
+from planeopt.estimation.tangents import Cloud, Tangents, products, tangents
 from planeopt.rig import Rig
 
 Array = NDArray[np.float64]
-
-CHUNK = 1 << 14
-"""Points worked on at once."""
+Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,66 +45,193 @@ class RigEffect:
     misfit_by_beam: Array
 
 
-def rig_effect(
-    rig: Rig, setup: eq.Setup, planes: Array, points: Array, noise: Array, rays: Array, counts: NDArray[np.int64]
-) -> RigEffect:
-    """Differentiate M maximum-likelihood planes by the rig's parameters, the raw pixels held fixed.
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """Boundary points of M spots as the camera has them; all (M, N).
 
-    Parameters
+    Attributes
     ----------
-    rig : Rig
-    setup : Setup
-        Of the rig.
-    planes : (M, 3)
-        ``(z_L, p, q)`` in the equations' sense; finite.
-    points : (M, N, 2)
-        On the laser-parallel image plane, mm.
-    noise : (M, N, 2, 2)
-        Their covariances, mm^2.
-    rays : (M, N, 2)
-        Normalised coordinates of the points in the camera frame.
-    counts : (M,)
-        Points of each row; the others are padding, and finite.
+    xd, yd : (M, N)
+        Distorted normalised coordinates: the pixel less the principal point, over the focal length.
+    x, y : (M, N)
+        Normalised coordinates of their rays in the camera frame.
+    by_pixel : four of (M, N)
+        Derivatives of the coordinates on the laser-parallel image plane, mm, by the raw pixel: of the first coordinate
+        by u and v, then of the second.
     """
-    m, n = len(planes), points.shape[1]
-    size = max(1, CHUNK // max(n, 1))
-    n_free = free_parameters(rig).shape[1]
-    made = RigEffect(np.empty((m, 3, n_free)), np.empty((m, 2)), np.empty((m, 2, n_free)), np.empty((m, 2, len(SEEN))))
-    for begin in range(0, m, size):
-        rows = slice(begin, begin + size)
-        longest = int(np.max(counts[rows]))
-        part = _piece(
-            rig, setup, planes[rows], points[rows, :longest], noise[rows, :longest], rays[rows, :longest], counts[rows]
-        )
-        made.plane_by_rig[rows], made.misfit[rows] = part.plane_by_rig, part.misfit
-        made.misfit_by_rig[rows], made.misfit_by_beam[rows] = part.misfit_by_rig, part.misfit_by_beam
+
+    xd: Array
+    yd: Array
+    x: Array
+    y: Array
+    by_pixel: tuple[Array, Array, Array, Array]
+
+    def take(self, rows: NDArray[np.intp]) -> "Sight":
+        """Return some of the spots."""
+        a, b, c, d = (part[rows] for part in self.by_pixel)
+        return Sight(self.xd[rows], self.yd[rows], self.x[rows], self.y[rows], (a, b, c, d))
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Points of M spots at their solutions.
+
+    Attributes
+    ----------
+    at, by_plane : (M, 5), (M, 5, 3)
+        Of the planes' ellipses, as `Images.coordinates` has them.
+    tangents : Tangents
+    quadratic : Quadratic
+    """
+
+    at: Array
+    by_plane: Array
+    tangents: Tangents
+    quadratic: Quadratic
+
+    @classmethod
+    def of(cls, planes: Array, images: Images, cloud: Cloud, feet: Array) -> "Seen":
+        """At planes (M, 3), from the monomials (6, M, N) of the points' feet, which are overwritten."""
+        at, by_plane = images.coordinates(planes, cloud.origin)
+        tangent = tangents(cloud, conics_at(at), feet)
+        return cls(at, by_plane, tangent, Quadratic.of(tangent, at))
+
+
+class RigDerivatives:
+    """What of the derivatives is the same for all spots of a rig."""
+
+    def __init__(self, rig: Rig, setup: eq.Setup) -> None:
+        beam = rig.require_beam()
+        self.rig = rig
+        self.images = Images.of(setup)
+        self._beam = BeamImages.of(setup, beam.offset, beam.direction)
+        self.free = free_parameters(rig)
+        self._camera = bool(np.any(self.free[: len(CAMERA)]))
+        l_x, l_y, _ = beam.direction
+        # (Q e)_z is the direction times the offset.
+        shift: dict[str, float] = dict(zip(BEAM, (l_x, l_y, 0.0, *beam.offset), strict=True))
+        self._axial_shift = np.array([shift.get(name, 0.0) for name in PARAMETERS]) @ self.free
+        self._places = [PARAMETERS.index(name) for name in BEAM]
+        self._seen = [PARAMETERS.index(name) for name in SEEN]
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Numbers of free parameters, and of `SEEN`."""
+        return self.free.shape[1], len(SEEN)
+
+    def effect(self, planes: Array, cloud: Cloud, seen: Seen, sight: Sight, scale: Array, square: Bools) -> RigEffect:
+        """Differentiate M maximum-likelihood planes.
+
+        Parameters
+        ----------
+        planes : (M, 3)
+            In the equations' sense.
+        cloud : Cloud
+        seen : Seen
+        sight : Sight
+        scale : (M,)
+            What the noise of the cloud has to be multiplied by.
+        square : (M,) of bool
+            Where the squares of the points' information are far from rounding.
+        """
+        by_beam = self._beam.derivatives(planes, _trace(planes, self.images), cloud.origin)
+        camera = camera_columns(self.rig, seen.tangents, sight) if self._camera else None
+        made = RigEffect(*(np.empty((len(planes), *shape)) for shape in self._shapes()))
+        rows = np.flatnonzero(square)
+        if len(rows):
+            _put(made, rows, self._by_sums(seen, by_beam, camera, scale, rows))
+        rows = np.flatnonzero(~square)
+        if len(rows):
+            _put(made, rows, self._by_points(seen, by_beam, camera, scale, rows))
+        return made
+
+    def _shapes(self) -> tuple[tuple[int, ...], ...]:
+        n, n_seen = self.sizes
+        return (3, n), (2,), (2, n), (2, n_seen)
+
+    def _by_sums(
+        self, seen: Seen, by_beam: Array, camera: Array | None, scale: Array, rows: NDArray[np.intp]
+    ) -> RigEffect:
+        """From sums over the points: Cholesky's factor of the information is the triangle of the points' rows."""
+        sums = products(seen.tangents.monomials, seen.tangents.weighted[:6])
+        by_all = np.zeros((len(sums), 5, len(PARAMETERS)))
+        by_all[:, :, self._places] = SPAN.T @ (sums @ by_beam)
+        if camera is not None:
+            by_all[:, :, : len(CAMERA)] = SPAN.T @ products(seen.tangents.weighted[:6], camera)
+        triangle = np.linalg.cholesky(seen.quadratic.information[rows])
+        right = np.concatenate([by_all[rows], seen.quadratic.score[rows, :, None]], axis=2)
+        inside = np.swapaxes(triangle, 1, 2) @ seen.by_plane[rows]
+        return self._solved(inside, np.asarray(np.linalg.solve(triangle, right), dtype=float), scale[rows])
+
+    def _by_points(
+        self, seen: Seen, by_beam: Array, camera: Array | None, scale: Array, rows: NDArray[np.intp]
+    ) -> RigEffect:
+        """By QR of the points' rows: short arcs hardly tell the coefficients of an ellipse apart."""
+        root = np.sqrt(seen.tangents.weight[rows])
+        monomials = np.moveaxis(seen.tangents.monomials[:, rows] * root, 0, 2)
+        by_all = np.zeros((*root.shape, len(PARAMETERS)))
+        by_all[:, :, self._places] = monomials @ by_beam[rows]
+        if camera is not None:
+            by_all[:, :, : len(CAMERA)] = np.moveaxis(camera[:, rows] * root, 0, 2)
+        distance = seen.tangents.left[rows] * root
+        basis, triangle = np.linalg.qr(monomials @ SPAN)
+        right = np.swapaxes(basis, 1, 2) @ np.concatenate([by_all, distance[..., None]], axis=2)
+        return self._solved(triangle @ seen.by_plane[rows], right, scale[rows])
+
+    def _solved(self, inside: Array, right: Array, scale: Array) -> RigEffect:
+        """From derivatives in an orthonormal basis of what ellipses can change: by plane (M, 5, 3), by all and d."""
+        turned, triangle = np.linalg.qr(inside, mode="complete")
+        rotated = np.swapaxes(turned, 1, 2) @ right
+        plane_by_rig = -np.asarray(np.linalg.solve(triangle[:, :3], rotated[:, :3, :-1] @ self.free), dtype=float)
+        plane_by_rig[:, 0] -= self._axial_shift
+        left_over = rotated[:, 3:] / scale[:, None, None]
+        by_all = left_over[..., :-1]
+        return RigEffect(plane_by_rig, left_over[..., -1], by_all @ self.free, by_all[..., self._seen])
+
+
+def camera_columns(rig: Rig, seen: Tangents, sight: Sight) -> Array:
+    """Derivatives (9, M, N) by `CAMERA` of the points' distances, times ``sqrt(grad F' V grad F)``."""
+    camera = rig.camera
+    gx, gy = seen.gradient
+    xu, xv, yu, yv = sight.by_pixel
+    made = np.empty((len(CAMERA), *gx.shape))
+    by_fx, by_fy, by_cx, by_cy, by_k1, by_k2, by_p1, by_p2, by_k3 = (made[i, :, :] for i in range(len(CAMERA)))
+    part = gy * yu
+    np.multiply(gx, xu, out=by_cx)
+    by_cx += part
+    np.multiply(gy, yv, out=part)
+    np.multiply(gx, xv, out=by_cy)
+    by_cy += part
+    np.negative(made[2:4], out=made[2:4])
+    np.multiply(by_cx, sight.xd, out=by_fx)
+    np.multiply(by_cy, sight.yd, out=by_fy)
+    x, y = sight.x, sight.y
+    u, v = by_cx * camera.fx, by_cy * camera.fy
+    along = u * x
+    np.multiply(v, y, out=part)
+    along += part
+    r2 = x * x
+    np.multiply(y, y, out=part)
+    r2 += part
+    np.multiply(along, r2, out=by_k1)
+    np.multiply(by_k1, r2, out=by_k2)
+    np.multiply(by_k2, r2, out=by_k3)
+    # 2 x y u + (r^2 + 2 y^2) v is twice y times what is along, and r^2 v.
+    along *= 2
+    for coordinate, way, to in ((y, v, by_p1), (x, u, by_p2)):
+        np.multiply(along, coordinate, out=to)
+        np.multiply(way, r2, out=part)
+        to += part
     return made
 
 
-def _piece(
-    rig: Rig, setup: eq.Setup, planes: Array, points: Array, noise: Array, rays: Array, counts: NDArray[np.int64]
-) -> RigEffect:
-    m, n = points.shape[:2]
-    used = np.arange(n) < counts[:, None]
-    row = np.nonzero(used)[0]
-    by_all = np.zeros((m, n, len(PARAMETERS)))
-    by_all[used] = point_derivatives(rig, rays[used], noise[used], planes[row])[1]
-    boundary = Boundary.of(points, noise, used)
-    conics, found, monomials = at_planes(planes, boundary, setup)
-    by_plane = np.swapaxes((conics.by_plane @ monomials) * found.rate[:, None, :], -1, -2)
-    by_ellipse = np.swapaxes(monomials[:, 1:] * found.rate[:, None, :], -1, -2)
-    # QR, not normal equations: short arcs hardly tell the coefficients of an ellipse apart.
-    basis = np.linalg.qr(by_ellipse)[0]
-    inside = np.swapaxes(basis, -1, -2) @ by_plane
-    turned, triangle = np.linalg.qr(inside, mode="complete")
-    rotated = np.swapaxes(basis @ turned, -1, -2)
-    step = -np.linalg.solve(triangle[:, :3], rotated[:, :3] @ by_all)
-    left_over = rotated[:, 3:]
-    misfit_by_all = left_over @ by_all
-    free = free_parameters(rig)
-    plane_by_rig = step @ free
-    plane_by_rig[:, 0] -= axial_shift_by_rig(rig)
-    seen = np.array([PARAMETERS.index(name) for name in SEEN])
-    return RigEffect(
-        plane_by_rig, (left_over @ found.distance[..., None])[..., 0], misfit_by_all @ free, misfit_by_all[:, :, seen]
-    )
+def _trace(planes: Array, images: Images) -> Array:
+    """What the ellipses' coefficients were divided by, (M,)."""
+    v = np.ones((len(planes), 4))
+    v[:, 1:] = planes
+    return np.einsum("mi,ij,mj->m", v, images.forms[0] + images.forms[2], v)
+
+
+def _put(into: RigEffect, rows: NDArray[np.intp], values: RigEffect) -> None:
+    into.plane_by_rig[rows], into.misfit[rows] = values.plane_by_rig, values.misfit
+    into.misfit_by_rig[rows], into.misfit_by_beam[rows] = values.misfit_by_rig, values.misfit_by_beam

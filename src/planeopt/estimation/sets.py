@@ -108,12 +108,15 @@ class Sets:
 
         As `planeopt.formulations.Problem.from_points` has it.
         """
-        typical = np.median(self.variance, axis=1)
-        floors = NOISE_FLOOR**2 * np.maximum(self.spread2, 0.0) / typical
-        variance = np.where(self.known, np.maximum(1.0, floors), floors)
-        factor = np.sqrt(variance)
-        size = variance if self.noise.ndim == 4 else factor
+        factor = self.floor()[0]
+        size = factor**2 if self.noise.ndim == 4 else factor
         return replace(self, noise=self.noise * size.reshape(-1, *[1] * (self.noise.ndim - 1)), factor=factor)
+
+    def floor(self) -> tuple[Array, Array]:
+        """What `floored` multiplies sigmas by (M,), and the typical sigma (M,) before, mm."""
+        typical = medians(self.variance)
+        floors = NOISE_FLOOR**2 * np.maximum(self.spread2, 0.0) / typical
+        return np.sqrt(np.where(self.known, np.maximum(1.0, floors), floors)), np.sqrt(typical)
 
     @property
     def variance(self) -> Array:
@@ -134,9 +137,17 @@ class Sets:
     @property
     def spread2(self) -> Array:
         """Mean squared distance (M,) of the points from their mean, mm^2; not finite where a point is not."""
-        n = self.points.shape[1]
-        mean = np.einsum("mni->mi", self.points) / n
-        return np.einsum("mni,mni->m", self.points, self.points) / n - np.einsum("mi,mi->m", mean, mean)
+        x, y = self.points[..., 0], self.points[..., 1]
+        mean2 = np.mean(x, axis=1) ** 2 + np.mean(y, axis=1) ** 2
+        return (np.einsum("mn,mn->m", x, x) + np.einsum("mn,mn->m", y, y)) / x.shape[1] - mean2
+
+
+def medians(rows: Array) -> Array:
+    """Medians (M,) of rows (M, N); `numpy.median` takes three times as long."""
+    n = rows.shape[1]
+    ordered = np.partition(rows, n // 2, axis=1)
+    upper = ordered[:, n // 2]
+    return upper if n % 2 else (upper + np.max(ordered[:, : n // 2], axis=1)) / 2
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,10 @@ _NEWTON_STEPS = 30
 # Largest residual, in normalised units, of an inverse that counts as found: 1e-9 px at a focal length of 10,000 px.
 _INVERSE_TOLERANCE = 1e-13
 _RADIAL_GRID = 1025
+# Steps of the quick search, and the length of one that leaves rounding: what is left is its square times the
+# distortion's curvature, some per unit.
+_NEAR_STEPS = 4
+_NEAR = 3e-9
 # Normalised radius (the tangent of the angle to the optical axis) beyond which no pinhole lens sees: 89.99 degrees.
 _WIDEST = 1e4
 
@@ -150,18 +154,123 @@ class Camera:
         pixels = _pairs("pixels", px)
         flat = pixels.reshape(-1, 2)
         _refuse_first(flat, ~np.all(np.isfinite(flat), axis=-1), "is not a finite number of pixels")
-        target = (flat - [self.cx, self.cy]) / [self.fx, self.fy]
         # Pixels far outside may overflow on the way to being refused below.
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            found, good = self._undistort(target)
-            _refuse_first(
-                flat, ~good, "is where this camera's distortion cannot be inverted: check it against the image size"
-            )
-            xx, xy, yy = self.distortion_jacobian(found)
-        determinant = xx * yy - xy * xy
-        inverse = np.stack([yy, -xy, -xy, xx], axis=-1).reshape(-1, 2, 2) / determinant[:, None, None]
-        jacobian = inverse / [self.fx, self.fy]
-        return found.reshape(pixels.shape), jacobian.reshape(*pixels.shape[:-1], 2, 2)
+        x, y, jacobian, good = self.normalise_components(flat[:, 0], flat[:, 1])
+        _refuse_first(
+            flat, ~good, "is where this camera's distortion cannot be inverted: check it against the image size"
+        )
+        shape = pixels.shape[:-1]
+        return np.stack([x, y], axis=-1).reshape(*shape, 2), np.stack(jacobian, axis=-1).reshape(*shape, 2, 2)
+
+    def normalise_components(
+        self, u: FloatArray, v: FloatArray
+    ) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray, FloatArray, FloatArray], NDArray[np.bool_]]:
+        """Return what `normalise` does by components, for arrays of pixels that may be too large to be walked twice.
+
+        Parameters
+        ----------
+        u, v : ndarray, shape (...)
+            Raw pixels.
+
+        Returns
+        -------
+        x, y : ndarray, shape (...)
+        jacobian : four ndarrays, shape (...)
+            dx/du, dx/dv, dy/du, dy/dv.
+        good : ndarray of bool, shape (...)
+            False where a pixel is not finite or the distortion cannot be inverted; the numbers mean nothing there.
+        """
+        xd, yd = (u - self.cx) / self.fx, (v - self.cy) / self.fy
+        with np.errstate(all="ignore"):
+            x, y, parts, good = self._nearby(xd, yd)
+            if not np.all(good):
+                lost = ~good
+                points, good[lost] = self._undistort(np.stack([xd[lost], yd[lost]], axis=-1))
+                x[lost], y[lost] = points.T
+                for part, value in zip(parts, self.distortion_jacobian(points), strict=True):
+                    part[lost] = value
+            xx, xy, yy = parts
+            inverse = 1 / (xx * yy - xy * xy)
+            across = -xy
+            across *= inverse
+            yy *= inverse
+            xx *= inverse
+        return x, y, (yy / self.fx, across / self.fy, across / self.fx, xx / self.fy), good
+
+    def _nearby(
+        self, xd: FloatArray, yd: FloatArray
+    ) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray, FloatArray], NDArray[np.bool_]]:
+        """Newton's method from two steps of a fixed-point iteration: found at once where the lens distorts little.
+
+        Returns the points, the distortion's Jacobian there, and which of them are found.
+        """
+        k1, k2, p1, p2, k3 = self.distortion
+        r2 = xd * xd + yd * yd
+        radial = _polynomial(r2, (1.0, k1, k2, k3))
+        x, y = xd / radial, yd / radial
+        x2, y2, xy = x * x, y * y, x * y
+        r2 = x2 + y2
+        radial = _polynomial(r2, (1.0, k1, k2, k3))
+        x = (xd - 2 * p1 * xy - p2 * (r2 + 2 * x2)) / radial
+        y = (yd - 2 * p2 * xy - p1 * (r2 + 2 * y2)) / radial
+        steps, widest2 = 0, min(self.invertible_radius, _WIDEST) ** 2
+        while True:
+            steps += 1
+            moved, parts, found = self._correct(x, y, xd, yd, widest2)
+            if steps == _NEAR_STEPS or np.max(moved, initial=0.0) < _NEAR**2:
+                return x, y, parts, found & (moved < _NEAR**2)
+
+    def _correct(
+        self, x: FloatArray, y: FloatArray, xd: FloatArray, yd: FloatArray, widest2: float
+    ) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray], NDArray[np.bool_]]:
+        """Move points (x, y) by a step of Newton's method for those that distort to (xd, yd), in place.
+
+        Returns the steps' squared lengths, the distortion's Jacobian as `distortion_jacobian` has it, and where the
+        distortion can be inverted, out to a squared radius; the Jacobian and that are of where the step began.
+        """
+        k1, k2, p1, p2, k3 = self.distortion
+        xx, xy, yy = x * x, x * y, y * y
+        r2 = xx + yy
+        slope = _polynomial(r2, (2 * k1, 4 * k2, 6 * k3))
+        bend = _polynomial(r2, (1.0, k1, k2, k3))
+        along_x, along_y = (2 * p2) * x, (2 * p1) * y
+        bend += along_x
+        bend += along_y
+        # `distort` is (x bend + p2 r^2, y bend + p1 r^2).
+        dx, dy = x * bend, y * bend
+        dx -= xd
+        dy -= yd
+        dx += p2 * r2
+        dy += p1 * r2
+        xx *= slope
+        xx += bend
+        along_x *= 2
+        xx += along_x
+        yy *= slope
+        yy += bend
+        along_y *= 2
+        yy += along_y
+        xy *= slope
+        xy += (2 * p1) * x
+        xy += (2 * p2) * y
+        size = np.multiply(xx, yy, out=slope)
+        part = np.multiply(xy, xy, out=bend)
+        size -= part
+        found = (size > 0) & (r2 < widest2)
+        np.divide(1.0, size, out=size)
+        step = np.multiply(yy, dx, out=along_x)
+        step -= np.multiply(xy, dy, out=part)
+        step *= size
+        x -= step
+        other = np.multiply(xx, dy, out=along_y)
+        other -= np.multiply(xy, dx, out=part)
+        other *= size
+        y -= other
+        # The next step would be of the order of the square of this one.
+        step *= step
+        other *= other
+        step += other
+        return step, (xx, xy, yy), found
 
     def _undistort(self, target: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Return the normalised points (N, 2) that distort to the target, and which of them hold."""
@@ -210,6 +319,18 @@ class Camera:
         xy = slope * x * y + 2 * p1 * x + 2 * p2 * y
         yy = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
         return xx, xy, yy
+
+
+def _polynomial(x: FloatArray, coefficients: tuple[float, ...]) -> FloatArray:
+    """Return a polynomial's values, coefficients from the constant one on."""
+    lower, last = coefficients[:-1], coefficients[-1]
+    while lower and last == 0:
+        lower, last = lower[:-1], lower[-1]
+    made = np.full_like(x, last)
+    for coefficient in reversed(lower):
+        made *= x
+        made += coefficient
+    return made
 
 
 def _pairs(what: str, values: ArrayLike) -> FloatArray:

@@ -1,0 +1,259 @@
+"""From pixels to planes and their derivatives, some hundred spots at a time."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.lib.stride_tricks import as_strided
+from numpy.typing import NDArray
+
+from planeopt import equations as eq
+from planeopt.conic import arc_fraction, is_ellipse
+from planeopt.estimation.descent import at_planes, within_bounds
+from planeopt.estimation.efficiency import curvatures_seen
+from planeopt.estimation.feet import Boundary
+from planeopt.estimation.images import Images, conics_at
+from planeopt.estimation.points import Piece, PointsSolution, alike, blank, solve_piece
+from planeopt.estimation.rig_effect import RigDerivatives, RigEffect, Seen, Sight
+from planeopt.estimation.sets import Sets
+from planeopt.estimation.tangents import Cloud, complete
+from planeopt.rig import Rig
+from planeopt.spot import Spot
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Rows = NDArray[np.intp]
+
+CHUNK = 1 << 15
+"""Points worked on at once: what operations cost beside their arithmetic is shared, and the caches hold the arrays."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """What is known of M spots from their points; NaN where it is not.
+
+    Attributes
+    ----------
+    points : PointsSolution
+    effect : RigEffect
+    curvature : (M,)
+        As `planeopt.estimation.efficiency.Reach` has it.
+    sigma : (M,)
+        Typical standard deviation of the points, mm, as the spot gave it.
+    arc : (M,)
+        Fractions of the planes' ellipses that the points cover.
+    """
+
+    points: PointsSolution
+    effect: RigEffect
+    curvature: Array
+    sigma: Array
+    arc: Array
+
+    @classmethod
+    def blank(cls, counts: NDArray[np.int64], n_free: int, n_seen: int) -> "Solved":
+        """Of spots of which nothing is known."""
+        m = len(counts)
+        nan = [np.full((m, *shape), np.nan) for shape in ((3, n_free), (2,), (2, n_free), (2, n_seen), (), (), ())]
+        return cls(blank(m, counts), RigEffect(*nan[:4]), *nan[4:])
+
+    def put(self, rows: Rows, values: "Solved") -> None:
+        """Write those of some spots."""
+        for ours, theirs in ((self.points, values.points), (self.effect, values.effect)):
+            for field in fields(ours):
+                getattr(ours, field.name)[rows] = getattr(theirs, field.name)
+        self.curvature[rows], self.sigma[rows], self.arc[rows] = values.curvature, values.sigma, values.arc
+
+
+def solve_spots(spots: Sequence[Spot], rig: Rig, setup: eq.Setup, robust: float | None) -> Solved:
+    """Solve spots of any lengths.
+
+    Parameters
+    ----------
+    spots : sequence of Spot
+        Those with a pixel that no ray of the camera reaches are unusable, and have no points.
+    rig : Rig
+        With a beam.
+    setup : Setup
+        Of the rig.
+    robust : float or None
+    """
+    derivatives = RigDerivatives(rig, setup)
+    n_free, n_seen = derivatives.sizes
+    counts = np.array([len(spot.points) for spot in spots], dtype=np.int64)
+    found = Solved.blank(counts, n_free, n_seen)
+    for rows, length in alike(counts, CHUNK):
+        piece = [spots[row] for row in rows.tolist()]
+        found.put(rows, _solve(piece, counts[rows], length, derivatives, setup, robust))
+    return found
+
+
+def pixels(spots: Sequence[Spot], counts: NDArray[np.int64], length: int) -> tuple[Array, Array, Array]:
+    """Pixels u, v and sigmas (M, N) of spots, each filled up with its own points; sigma is 1 where it is not known."""
+    at = np.concatenate([spot.points for spot in spots])
+    known = [spot.sigma is not None for spot in spots]
+    if all(known):
+        sigma = np.concatenate([spot.sigma for spot in spots if spot.sigma is not None])
+    elif any(known):
+        sigma = np.concatenate([np.ones(len(spot)) if spot.sigma is None else spot.sigma for spot in spots])
+    else:
+        sigma = np.ones(len(at))
+    if np.all(counts == length):
+        shape = (len(spots), length)
+        return at[:, 0].reshape(shape), at[:, 1].reshape(shape), sigma.reshape(shape)
+    begin = np.cumsum(counts) - counts
+    index = begin[:, None] + np.arange(length) % counts[:, None]
+    return at[index, 0], at[index, 1], sigma[index]
+
+
+def _solve(
+    spots: Sequence[Spot],
+    counts: NDArray[np.int64],
+    length: int,
+    derivatives: RigDerivatives,
+    setup: eq.Setup,
+    robust: float | None,
+) -> Solved:
+    u, v, sigma = pixels(spots, counts, length)
+    x, y, sight, seen = on_laser_plane(derivatives.rig, u, v)
+    if not np.all(seen):
+        counts = np.where(seen.all(axis=1), counts, 0)
+        x[counts == 0] = np.nan
+    known = np.array([spot.sigma is not None for spot in spots])
+    given = Sets(
+        np.moveaxis(np.stack([x, y]), 0, -1),
+        _covariances(sight, sigma),
+        setup,
+        counts,
+        np.full((len(spots), 3), np.nan),
+        robust,
+        known,
+        np.ones(len(spots)),
+    )
+    piece = solve_piece(given)
+    found = Solved.blank(counts, *derivatives.sizes)
+    rows = np.flatnonzero(np.isfinite(piece.solution.covariance).all(axis=(1, 2)))
+    every = len(rows) == len(spots)
+    found = Solved(piece.solution, found.effect, found.curvature, piece.sigma, found.arc)
+    if len(rows):
+        with np.errstate(all="ignore"):  # a foot at a centre of curvature divides zero by zero
+            if not every:
+                piece, given, sight = piece.take(rows), given.take(rows), sight.take(rows)
+            effect, curvature = _looked_at(piece, given, sight, derivatives)
+        found.put(rows, Solved(piece.solution, effect, curvature, piece.sigma, found.arc[rows]))
+    solved = np.flatnonzero(np.isfinite(found.points.planes).all(axis=1))
+    found.arc[solved] = _arcs(found.points.planes[solved], x[solved], y[solved], counts[solved], derivatives.images)
+    return found
+
+
+def on_laser_plane(rig: Rig, u: Array, v: Array) -> tuple[Array, Array, Sight, Bools]:
+    """Coordinates of pixels on the laser-parallel image plane, mm, and which have a ray that meets it; all (M, N).
+
+    As `Rig.to_laser_plane`, but component by component, and in place: this is where time goes.
+    """
+    camera = rig.camera
+    nx, ny, inner, good = camera.normalise_components(u, v)
+    (q00, q01, q02), (q10, q11, q12), (q20, q21, q22) = rig.Q.tolist()
+    depth = _linear(nx, ny, q20, q21, q22)
+    good &= depth > 0
+    np.divide(1.0, depth, out=depth, where=good)
+    x, y = _linear(nx, ny, q00, q01, q02), _linear(nx, ny, q10, q11, q12)
+    x *= depth
+    y *= depth
+    depth *= rig.focal_length
+    by = []
+    for ratio, (one, other) in ((x, (q00, q01)), (y, (q10, q11))):
+        first, second = ratio * -q20, ratio * -q21
+        first += one
+        second += other
+        first *= depth
+        second *= depth
+        for k in range(2):
+            made = first * inner[k]
+            made += second * inner[2 + k]
+            by.append(made)
+    x *= rig.focal_length
+    y *= rig.focal_length
+    sight = Sight((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, nx, ny, (by[0], by[1], by[2], by[3]))
+    return x, y, sight, good
+
+
+def _linear(x: Array, y: Array, a: float, b: float, c: float) -> Array:
+    made = x * a
+    made += y * b
+    made += c
+    return made
+
+
+def _covariances(sight: Sight, sigma: Array) -> Array:
+    """Covariances (M, N, 2, 2) on the laser-parallel image plane, mm^2, of pixels with sigmas (M, N)."""
+    xu, xv, yu, yv = sight.by_pixel
+    made = np.empty((3, *sigma.shape))
+    part = np.empty(sigma.shape)
+    for to, one, other in ((made[0], (xu, xv), (xu, xv)), (made[1], (xu, xv), (yu, yv)), (made[2], (yu, yv), (yu, yv))):
+        np.multiply(one[0], other[0], out=to)
+        np.multiply(one[1], other[1], out=part)
+        to += part
+    np.multiply(sigma, sigma, out=part)
+    made *= part
+    # Element (i, j) is part i + j: each is there once.
+    step, *others = made.strides
+    view = as_strided(made, (2, 2, *sigma.shape), (step, step, *others), writeable=False)
+    return view.transpose(2, 3, 0, 1)
+
+
+def _looked_at(piece: Piece, given: Sets, sight: Sight, derivatives: RigDerivatives) -> tuple[RigEffect, Array]:
+    """The rig's effect, and the curvatures (M,), at solutions that have a covariance."""
+    found, cloud, images = piece.solution, piece.cloud, derivatives.images
+    n = given.points.shape[1]
+    if cloud is None:
+        used = None if np.all(given.counts == n) else np.arange(n) < given.counts[:, None]
+        cloud = Cloud.of(given.points, given.noise, found.scale, used)
+        feet = np.empty((6, *cloud.x.shape))
+        scale = np.ones(len(found))
+    else:
+        feet, scale = piece.feet, found.scale / piece.factor
+    other = np.flatnonzero(~piece.regular)
+    if len(other):
+        _search_feet(feet, found.planes, cloud, given, other)
+    seen = Seen.of(found.planes, images, cloud, feet)
+    effect = derivatives.effect(found.planes, cloud, seen, sight, scale, piece.regular)
+    bent = curvatures_seen(
+        given.setup,
+        images,
+        found.planes,
+        found.covariance,
+        cloud.origin,
+        seen.tangents,
+        (seen.at, seen.by_plane, seen.quadratic.information),
+    )
+    known = within_bounds(found.planes, given.setup)
+    return effect, np.where(known, bent / scale, np.nan)
+
+
+def _search_feet(feet: Array, planes: Array, cloud: Cloud, given: Sets, rows: Rows) -> None:
+    """Write the monomials of the feet of some rows, wherever the points are."""
+    part = given.take(rows).filled()
+    boundary = Boundary.of(part.points, part.noise)
+    found = at_planes(planes[rows], boundary, given.setup)[1]
+    n, unit = part.points.shape[1], boundary.unit[:, None]
+    made = np.zeros((6, len(rows), cloud.x.shape[1]))
+    made[3], made[4], made[5] = cloud.x[rows], cloud.y[rows], 1.0
+    made[3, :, :n] -= found.dx * unit
+    made[4, :, :n] -= found.dy * unit
+    complete(made)
+    feet[:, rows] = made
+
+
+def _arcs(planes: Array, x: Array, y: Array, counts: NDArray[np.int64], images: Images) -> Array:
+    """Fractions (M,) of the planes' ellipses that the points cover; spots with as many points go together."""
+    arcs = np.full(len(planes), np.nan)
+    for n in np.unique(counts):
+        rows = np.flatnonzero(counts == n)
+        conics = conics_at(images.coordinates(planes[rows], np.zeros((len(rows), 2)))[0])
+        B = conics[:, 1:] / conics[:, :1]
+        # A plane found in points that are no spot's may have an ellipse that rounding opens.
+        closed = np.flatnonzero(is_ellipse(B))
+        kept = rows[closed]
+        arcs[kept] = arc_fraction(B[closed], np.stack([x[kept, :n], y[kept, :n]], axis=-1))
+    return arcs
