@@ -14,6 +14,7 @@ def table(
     numbers: Sequence[tuple[str, str, str]],
     *,
     words: Sequence[tuple[str, str]] = (),
+    dense: bool = False,
 ) -> "Table":
     """Return a table of some keys of the rows.
 
@@ -26,11 +27,13 @@ def table(
     numbers : sequence of (heading, key, format)
     words : sequence of (heading, key)
         Between the first column and the numbers.
+    dense : bool
+        Two spaces between columns in place of three, and none at the edges.
     """
     from rich import box
     from rich.table import Table
 
-    made = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    made = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, collapse_padding=dense, pad_edge=not dense)
     made.add_column(first, no_wrap=True)
     for heading, _ in words:
         made.add_column(heading)

@@ -4,13 +4,14 @@ from planeopt.comparison.compare import Comparison, compare
 from planeopt.comparison.files import FileComparison, compare_file, compare_files
 from planeopt.comparison.problem import Case, compare_problem
 from planeopt.comparison.rows import InBound, Root, Row, nearest_root
-from planeopt.comparison.summary import Summary, summarise
+from planeopt.comparison.summary import Pooled, Summary, summarise
 
 __all__ = [
     "Case",
     "Comparison",
     "FileComparison",
     "InBound",
+    "Pooled",
     "Root",
     "Row",
     "Summary",

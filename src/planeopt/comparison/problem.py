@@ -179,7 +179,8 @@ def _row(problem: Problem, method: Method, start: Start, told: _Told, *, repeats
         _under(plane, _plane_of(problem, direct.pose), told.bound),
         None if told.truth is None else error_of(solution, told.truth),
         None if told.truth is None else _under(plane, _in_equations(problem, told.truth), told.bound),
-        build_s,
+        # Of a pair that was refused before the search nothing was built.
+        0.0 if solution.end is None else build_s,
         seconds,
     )
 

@@ -224,5 +224,7 @@ def _flat(row: Mapping[str, Any], nested: Mapping[str, tuple[str, ...]]) -> dict
     return flat
 
 
-_IN_ROWS = {"error_in_bound_sigmas": InSigmas.__struct_fields__}
-_IN_SUMMARY = {name: PooledRecord.__struct_fields__ for name in ("error_over_bound", "closed_form_over_bound")}
+_IN_ROWS: dict[str, tuple[str, ...]] = {"error_in_bound_sigmas": InSigmas.__struct_fields__}
+_IN_SUMMARY: dict[str, tuple[str, ...]] = dict.fromkeys(
+    ("error_over_bound", "closed_form_over_bound"), PooledRecord.__struct_fields__
+)

@@ -45,9 +45,9 @@ class Penalised:
         if too_many_equalities(nlp) is not None:
             return self.solver.solve(self._penalised(nlp))
         count = int(nlp.model.equalities.sum())
-        reason = (
-            f"{count} equations for {len(nlp.start)} unknowns can be hard constraints: {self.solver.name} takes them"
-        )
+        reason = "there is no equation to penalise"
+        if count:
+            reason = f"{count} equations for {len(nlp.start)} unknowns can be hard: {self.solver.name} takes them"
         found = check(nlp, nlp.start)
         return Found(nlp, nlp.start, "not called", found, Effort(), NO_TRACE, reason, Status.UNSUITED)
 
