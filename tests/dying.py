@@ -5,6 +5,9 @@ import signal
 import time
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 
 def square(x: int) -> int:
     return x * x
@@ -34,3 +37,11 @@ def fail(x: int) -> int:
     if x == 2:
         raise ArithmeticError("two")
     return x
+
+
+def array_of(x: int) -> NDArray[np.float64]:
+    return np.arange(100_000.0) * x
+
+
+def threads_of(_: int) -> str | None:
+    return os.environ.get("OMP_NUM_THREADS")

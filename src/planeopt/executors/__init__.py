@@ -1,6 +1,6 @@
 """One ordered `map` over any `concurrent.futures.Executor`: in process, over processes, over a Dask cluster."""
 
-from planeopt.executors.cluster import LOCAL, cluster
+from planeopt.executors.dask_cluster import LOCAL, cluster
 from planeopt.executors.order import AHEAD, ordered_map
 from planeopt.executors.places import workers
 from planeopt.executors.pool import processes

@@ -5,7 +5,7 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 
 from planeopt.errors import InputError
-from planeopt.executors.cluster import LOCAL, cluster
+from planeopt.executors.dask_cluster import LOCAL, cluster
 from planeopt.executors.pool import processes
 
 

@@ -13,14 +13,14 @@ from multiprocessing.process import BaseProcess
 from typing import Any
 
 ATTEMPTS = 3
-"""How many workers may die over an item before it is given up."""
+"""How many worker processes may die over an item before it is given up."""
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Variables that say how many threads linear algebra takes: in a worker one, as the work is spread over processes."""
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
+"""Variables that say how many threads libraries take: in a worker one, as the work is spread over processes."""
 
 
 class WorkerLost(BrokenExecutor):
-    """Workers died over an item, `ATTEMPTS` times: it takes more memory than there is, or it crashes a library."""
+    """Workers died over an item again and again: it takes more memory than there is, or it crashes a library."""
 
 
 def answer(function: Callable[..., Any], arguments: bytes) -> bytes:
@@ -58,7 +58,7 @@ def start_worker() -> None:
     """Make this process a worker of the one that started it.
 
     The keyboard's interrupt is left to the parent, numerical warnings stay unsaid (the result says what they did),
-    linear algebra takes one thread, and the process ends with its parent, however that ended.
+    libraries take one thread each, and the process ends with its parent, however that ended.
     """
     settle()
     parent = multiprocessing.parent_process()
@@ -67,7 +67,7 @@ def start_worker() -> None:
 
 
 def settle() -> None:
-    """Leave interrupts to the parent, warnings unsaid, and one thread to linear algebra that is not loaded yet."""
+    """Leave interrupts to the parent, warnings unsaid, and one thread to each library that is not loaded yet."""
     for name in THREADS:
         os.environ.setdefault(name, "1")
     warnings.simplefilter("ignore", RuntimeWarning)

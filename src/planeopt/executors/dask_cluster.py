@@ -19,7 +19,7 @@ from importlib import metadata
 from typing import TYPE_CHECKING, Any, cast
 
 from planeopt.errors import InputError
-from planeopt.executors.worker import ATTEMPTS, WorkerLost, answer, outcome
+from planeopt.executors.worker import WorkerLost, answer, outcome
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -42,8 +42,9 @@ _one_at_a_time = threading.Lock()
 def cluster(address: str, jobs: int = 1) -> Iterator[Executor]:
     """Open a Dask cluster as an executor.
 
-    An item whose worker died is done again by another, as often as the scheduler's `allowed-failures` says; then the
-    item's future raises `WorkerLost`. Workers read files themselves: the paths must mean the same there.
+    An item whose worker died is done again by another, as often as the scheduler's `allowed-failures` says, and then
+    with no other beside it; after that the item's future raises `WorkerLost`. Workers read files themselves: the paths
+    must mean the same there.
 
     Parameters
     ----------
@@ -74,7 +75,7 @@ def cluster(address: str, jobs: int = 1) -> Iterator[Executor]:
                     silence_logs=logging.CRITICAL,
                     dashboard_address=None,
                     # Without a dashboard the scheduler still speaks HTTP: at any free port, to this machine alone.
-                    scheduler_kwargs={"dashboard_address": "127.0.0.1:0", "allowed_failures": ATTEMPTS - 1},
+                    scheduler_kwargs={"dashboard_address": "127.0.0.1:0", "allowed_failures": 1},
                     preload=["planeopt.executors.dask_worker"],
                 )
             )
@@ -175,8 +176,9 @@ class DaskExecutor(Executor):
     """An executor over a Dask client, which it leaves open.
 
     Of its calls only as many are at the cluster at once as this has workers: of a worker that dies Dask suspects all
-    that was sent to it, and an item that kills workers would take its neighbours along. A function is sent to the
-    cluster once, and again only when another one was sent between.
+    that was sent to it. A call that it gave up as the killer of workers is sent once more with no other beside it: it
+    may have been its neighbour's fault. A function is sent to the cluster once, and again only when another one was
+    sent between.
 
     Parameters
     ----------
@@ -190,6 +192,7 @@ class DaskExecutor(Executor):
         self._address = address
         self._lock = threading.Lock()
         self._waiting: deque[_Task] = deque()
+        self._suspects: deque[_Task] = deque()
         self._under_way = 0
         self._closed = False
         self._function: Callable[..., Any] | None = None
@@ -225,23 +228,30 @@ class DaskExecutor(Executor):
             self._waiting.clear()
 
     def _fill(self) -> None:
-        """Send waiting calls to the cluster, one for each worker."""
+        """Send waiting calls to the cluster, one for each worker; a suspect alone."""
         try:
             room = self.workers
             with self._lock:
+                if self._suspects:
+                    if not self._under_way:
+                        self._send(self._suspects.popleft(), alone=True)
+                    return
                 while self._waiting and self._under_way < room:
-                    self._send(self._waiting.popleft())
-        except Exception as error:  # noqa: BLE001 - whatever Dask raises here, nothing can be sent any more
-            gone = _gone(self._address, error)
-            with self._lock:
-                for task in self._waiting:
+                    task = self._waiting.popleft()
                     if task.future.set_running_or_notify_cancel():
-                        task.future.set_exception(gone)
-                self._waiting.clear()
+                        self._send(task, alone=False)
+        except Exception as error:  # noqa: BLE001 - whatever Dask raises here, nothing can be sent any more
+            self._give_up(_gone(self._address, error))
 
-    def _send(self, task: _Task) -> None:
-        if not task.future.set_running_or_notify_cancel():
-            return
+    def _give_up(self, reason: BrokenExecutor) -> None:
+        with self._lock:
+            rest = [task for task in self._waiting if task.future.set_running_or_notify_cancel()]
+            for task in (*self._suspects, *rest):
+                task.future.set_exception(reason)
+            self._suspects.clear()
+            self._waiting.clear()
+
+    def _send(self, task: _Task, *, alone: bool) -> None:
         try:
             if task.function is not self._function:
                 # The result of a task, unlike data that was scattered, is made again where its worker dies.
@@ -252,39 +262,39 @@ class DaskExecutor(Executor):
             task.future.set_exception(error)
             return
         self._under_way += 1
-        there.add_done_callback(partial(self._done, task=task))
+        there.add_done_callback(partial(self._done, task=task, alone=alone))
 
-    def _done(self, there: "DaskFuture", task: _Task) -> None:
+    def _done(self, there: "DaskFuture", task: _Task, *, alone: bool) -> None:
         """Hand over what came of a call, and send the next; Dask calls this in a thread of its own."""
-        try:
-            told = _told(there, self._address)
-        except BrokenExecutor as error:
-            told = error
+        told = _told(there, self._address)
         with self._lock:
             self._under_way -= 1
             closed = self._closed
-        try:
-            if isinstance(told, BrokenExecutor):
-                raise told
-            task.future.set_result(outcome(told))
-        except Exception as error:  # noqa: BLE001 - it is raised again where the result is asked for
-            task.future.set_exception(error)
+            again = isinstance(told, WorkerLost) and not alone and not closed
+            if again:
+                self._suspects.append(task)
+        if not again:
+            try:
+                if isinstance(told, BrokenExecutor):
+                    raise told
+                task.future.set_result(outcome(told))
+            except Exception as error:  # noqa: BLE001 - it is raised again where the result is asked for
+                task.future.set_exception(error)
         if not closed:
             self._fill()
 
 
-def _told(there: "DaskFuture", address: str) -> bytes:
-    """Return what a worker told; `BrokenExecutor` says that none did."""
+def _told(there: "DaskFuture", address: str) -> bytes | BrokenExecutor:
+    """Return what a worker told, or why none did."""
     from distributed import KilledWorker
 
     try:
         return there.result()
     except KilledWorker as error:
         last = error.last_worker.address
-        raise WorkerLost(f"workers died over it again and again, {last} the last: for lack of memory?") from error
-    except (asyncio.CancelledError, Exception) as error:
-        # What the function raises is a result: this is Dask's own.
-        raise _gone(address, error) from error
+        return WorkerLost(f"workers died over it again and again, {last} the last: for lack of memory?")
+    except (asyncio.CancelledError, Exception) as error:  # noqa: BLE001 - no function's, which is a result: Dask's own
+        return _gone(address, error)
 
 
 def _gone(address: str, error: BaseException) -> BrokenExecutor:
