@@ -43,7 +43,7 @@ def weights_figure(tables: Tables, said: Mapping[str, float]) -> Figure:
             axes.set(xlabel="weight of (29)", xscale="log")
         for axes in (moved, violation, error, tolerance):
             axes.grid(visible=True)
-        moved.legend(loc="center right", title="noise 0.3 px")
+        made.legend(*moved.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return made
 
 
@@ -52,7 +52,9 @@ def _over_weights(axes: Axes, rows: Sequence[WeightRow], column: str) -> None:
     looks: tuple[dict[str, Any], ...] = ({"color": DARK, "ls": "-"}, {"color": LIGHT, "ls": "--"})
     for reading, look in zip(READINGS, looks, strict=True):
         for problem, marker in zip(problems, _MARKERS, strict=False):
-            own = [row for row in rows if (row.problem, row.reading) == (problem, reading)]
+            # From itself the answer at weight 1 is nowhere.
+            left_out = 1.0 if column == "most_from_weight_1" else None
+            own = [row for row in rows if (row.problem, row.reading) == (problem, reading) and row.weight != left_out]
             y = np.maximum([getattr(row, column) for row in own], _FLOOR)
             label = f"{IN_WORDS[reading]}, {problem}"
             axes.plot([row.weight for row in own], y, marker=marker, ms=4, lw=1.1, label=label, **look)
@@ -97,7 +99,7 @@ def schedules_figure(tables: Tables, said: Mapping[str, float]) -> Figure:
     return made
 
 
-_ENDS = (
+_ENDS: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("minimiser", "at the minimiser", {"color": DARK}),
     (
         "local",
@@ -121,15 +123,15 @@ def _draw_ends(axes: Axes, rows: Sequence[EndRow]) -> None:
         fontsize=8,
     )
     axes.invert_yaxis()
-    axes.set_xlabel("problems (label: weights, and the median of values and derivatives asked for)")
-    axes.xaxis.label.set_fontsize(8.5)
+    axes.set_xlabel("problems; beside them weights, and calls of values and derivatives (median)")
+    axes.xaxis.label.set_fontsize(8)
 
 
 def work_figure(tables: Tables, said: Mapping[str, float]) -> Figure:
     """Draw distances to the minimiser against calls, J = 0, from both starts."""
     heading = (
-        f"Accuracy against work, J = 0: more stages only cost more (from the paper's start, medians: SWIFT "
-        f"{said['swift_median_evaluations']:.0f} calls, IPOPT {said['ipopt_median_calls']:.0f})"
+        f"J = 0: stages only cost more; medians from the paper's start: SWIFT {said['swift_median_evaluations']:.0f} "
+        f"calls, IPOPT {said['ipopt_median_calls']:.0f}"
     )
     looks: dict[str, dict[str, Any]] = {
         "Swift, 1": {"color": LIGHT, "marker": "o", "ls": "-"},
@@ -166,8 +168,8 @@ def paths_figure(tables: Tables, said: Mapping[str, float]) -> Figure:
     """Draw the searches' paths in depth and tilt over the least sum of squares."""
     del said
     last = {method: [row for row in tables.paths if row.method == method][-1] for method in _paths(tables)}
-    ends = "; ".join(f"{name}: {row.z_L_mm:.1f} mm, {row.alpha_deg:.1f} deg" for name, row in last.items())
-    with figure(11.5, 5.4, f"Where the paths from the paper's start end. {ends}") as made:
+    ends = "; ".join(f"{_named(name)} {row.z_L_mm:.1f} mm, {row.alpha_deg:.1f} deg" for name, row in last.items())
+    with figure(11.5, 5.4, f"From the paper's start to: {ends}") as made:
         axes = made.subplots()
         _draw_valley(axes, tables.valley)
         looks = (("o", DARK, "-"), ("s", LIGHT, "--"), ("^", RED, ":"))
@@ -175,7 +177,7 @@ def paths_figure(tables: Tables, said: Mapping[str, float]) -> Figure:
             own = [row for row in tables.paths if row.method == method]
             x, y = [row.z_L_mm for row in own], [row.alpha_deg for row in own]
             axes.plot(x, y, color="white", lw=3.2)
-            axes.plot(x, y, color=colour, lw=1.5, ls=line, marker=marker, ms=4, markevery=6, label=method)
+            axes.plot(x, y, color=colour, lw=1.5, ls=line, marker=marker, ms=4, markevery=6, label=_named(method))
             axes.plot(x[-1], y[-1], marker, ms=10, mfc="none", mec=colour, mew=2)
         start, truth = paper.START, paper.TRUTH
         axes.plot(start.z_L, np.degrees(start.alpha), "X", ms=10, color="black", label="the paper's start")
@@ -185,6 +187,11 @@ def paths_figure(tables: Tables, said: Mapping[str, float]) -> Figure:
         axes.minorticks_off()
         axes.legend(loc="lower left", facecolor="white", framealpha=0.9, frameon=True)
     return made
+
+
+def _named(method: str) -> str:
+    solver, reading = method.split(", ")
+    return f"{solver.upper()}, {IN_WORDS[reading]}"
 
 
 def _paths(tables: Tables) -> list[str]:

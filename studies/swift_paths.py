@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planeopt import equations as eq
 from planeopt.executors import ordered_map
-from planeopt.formulations import Penalty
+from planeopt.formulations import Penalty, Problem
 from planeopt.nlp import Nlp
 from planeopt.solvers import Ipopt, Solver, Sqp, Swift
 from planeopt.solvers.base import Found
@@ -28,7 +28,7 @@ TOLERANCES: dict[Mode, tuple[float, ...]] = {
 }
 
 GRID: dict[Mode, tuple[int, int, int]] = {"full": (61, 46, 180), "quick": (13, 10, 24)}
-DEPTHS_MM = (40.0, 300.0)
+DEPTHS_MM = (25.0, 320.0)
 TILTS_DEG = (0.0, 85.0)
 _MOST_ROWS = 150
 """Of a path: every so many iterations, and the last of each stage."""
@@ -173,12 +173,15 @@ def valley(mode: Mode) -> list[ValleyRow]:
     n_depths, n_tilts, n_turns = GRID[mode]
     z_L = np.geomspace(*DEPTHS_MM, n_depths)[:, None, None]
     alpha = np.radians(np.linspace(*TILTS_DEG, n_tilts))[None, :, None]
-    beta = (2 * np.pi * np.arange(n_turns) / n_turns - np.pi)[None, None, :]
-    v = eq.PaperVariables(problem.setup.r / np.cos(alpha), z_L, alpha, beta)
-    rows = eq.ten_residuals(np, v, problem.setup, problem.B.tolist())
-    total = np.broadcast_to(sum(np.square(row) for row in rows), (n_depths, n_tilts, n_turns))
-    seen = (eq.in_front(np, v, problem.setup) > 0) & (eq.lit_side(np, v, problem.setup) > 0)
-    best = np.where(seen, total, np.inf).min(axis=2)
+    step = 2 * np.pi / n_turns
+    beta: Array = np.asarray(step * np.arange(n_turns) - np.pi, dtype=float)[None, None, :]
+    for _ in range(_FINER):
+        total = _sum_of_squares(problem, z_L, alpha, beta)
+        # Round the best of them again, by steps of a tenth.
+        centre = np.take_along_axis(np.broadcast_to(beta, total.shape), np.argmin(total, axis=2)[:, :, None], axis=2)
+        step /= 10
+        beta = np.asarray(centre + step * np.arange(-10, 11), dtype=float)
+    best = _sum_of_squares(problem, z_L, alpha, beta).min(axis=2)
     best = np.where(np.isfinite(best), best, np.nan)
     tilts = np.degrees(alpha.ravel())
     return [
@@ -186,3 +189,14 @@ def valley(mode: Mode) -> list[ValleyRow]:
         for z, values in zip(z_L.ravel(), best, strict=True)
         for tilt, value in zip(tilts, values, strict=True)
     ]
+
+
+_FINER = 2
+
+
+def _sum_of_squares(problem: Problem, z_L: Array, alpha: Array, beta: Array) -> Array:
+    """Of the ten residuals, the spot on the beam; infinite where the plane cannot be seen."""
+    v = eq.PaperVariables(problem.setup.r / np.cos(alpha), z_L, alpha, beta)
+    rows = eq.ten_residuals(np, v, problem.setup, problem.B.tolist())
+    total = sum((np.square(row) for row in rows), np.zeros(np.broadcast_shapes(z_L.shape, alpha.shape, beta.shape)))
+    return np.where((eq.in_front(np, v, problem.setup) > 0) & (eq.lit_side(np, v, problem.setup) > 0), total, np.inf)
