@@ -13,7 +13,7 @@ from planeopt.estimation.descent import at_planes, within_bounds
 from planeopt.estimation.efficiency import curvatures_seen
 from planeopt.estimation.feet import Boundary
 from planeopt.estimation.images import Images, conics_at
-from planeopt.estimation.points import Piece, PointsSolution, alike, blank, solve_piece
+from planeopt.estimation.points import Piece, PointsSolution, alike, blank, keep_memory, solve_piece
 from planeopt.estimation.rig_effect import RigDerivatives, RigEffect, Seen, Sight
 from planeopt.estimation.sets import Sets
 from planeopt.estimation.tangents import Cloud, complete
@@ -78,6 +78,7 @@ def solve_spots(spots: Sequence[Spot], rig: Rig, setup: eq.Setup, robust: float 
         Of the rig.
     robust : float or None
     """
+    keep_memory()
     derivatives = RigDerivatives(rig, setup)
     n_free, n_seen = derivatives.sizes
     counts = np.array([len(spot.points) for spot in spots], dtype=np.int64)

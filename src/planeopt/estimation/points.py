@@ -135,13 +135,20 @@ def solve_points(
         If a shape does not fit, or `robust` is not positive.
     """
     given = Sets.of(points, noise, setup, counts, start, robust, scale_known)
-    # Once this is freed, glibc keeps the memory of smaller arrays instead of returning it page by page after each
-    # piece: half the time went there. Elsewhere it does nothing, and it touches no memory.
-    np.empty(_KEPT, dtype=np.uint8)
+    keep_memory()
     found = blank(len(given.counts), given.counts)
     for rows, _ in alike(given.counts, CHUNK):
         _put(found, rows, solve_piece(given.take(rows)).solution)
     return found
+
+
+def keep_memory() -> None:
+    """Have glibc keep the memory of arrays up to some size, instead of returning it page by page after each piece.
+
+    It does so once a larger array was freed; more than half the time went there. Elsewhere this does nothing, and it
+    touches no memory.
+    """
+    np.empty(_KEPT, dtype=np.uint8)
 
 
 def alike(counts: NDArray[np.int64], chunk: int) -> Iterator[tuple[NDArray[np.intp], int]]:
