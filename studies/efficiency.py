@@ -17,6 +17,7 @@ from concurrent.futures import Executor
 from studies import efficiency_summary as grid
 from studies import efficiency_sweep_summary as sweeps
 from studies.efficiency_cells import CellRow, run_cells
+from studies.efficiency_examples import ExampleRow, run_examples
 from studies.efficiency_figure import efficiency_figure
 from studies.efficiency_fits import FitRow, run_fits
 from studies.efficiency_formulations import FormulationRow, run_formulations
@@ -26,16 +27,32 @@ from studies.study import Mode, Result
 
 def run(mode: Mode, executor: Executor | None = None) -> Result:
     """Answer the four questions."""
-    return result_of(run_cells(mode, executor), run_fits(mode, executor), run_formulations(mode, executor))
+    return result_of(
+        run_cells(mode, executor),
+        run_fits(mode, executor),
+        run_formulations(mode, executor),
+        run_examples(mode, executor),
+    )
 
 
-def result_of(cells: Sequence[CellRow], fits: Sequence[FitRow], formulations: Sequence[FormulationRow]) -> Result:
+def result_of(
+    cells: Sequence[CellRow],
+    fits: Sequence[FitRow],
+    formulations: Sequence[FormulationRow],
+    examples: Sequence[ExampleRow],
+) -> Result:
     """Judge, draw and put into words what was measured."""
     found, said = grid.verdicts(cells), numbers(cells, fits, formulations)
     return Result(
-        tables={"cells": cells, "verdicts": found, "fits": fits, "formulations": formulations},
+        tables={
+            "cells": cells,
+            "verdicts": found,
+            "fits": fits,
+            "formulations": formulations,
+            "examples": examples,
+        },
         headline=headline(said),
-        finding=finding(cells, fits, formulations),
+        finding=finding(cells, fits, formulations, examples),
         figures={
             "efficiency": efficiency_figure(cells, found),
             "fits": fits_figure(fits, sweeps.fits_heading(fits)),
@@ -57,6 +74,14 @@ def headline(said: Mapping[str, float]) -> str:
     return f"{grid.headline(said)} {sweeps.headline(said)}"
 
 
-def finding(cells: Sequence[CellRow], fits: Sequence[FitRow], formulations: Sequence[FormulationRow]) -> str:
+def finding(
+    cells: Sequence[CellRow],
+    fits: Sequence[FitRow],
+    formulations: Sequence[FormulationRow],
+    examples: Sequence[ExampleRow],
+) -> str:
     """Say what was found; every number comes from the tables."""
-    return "\n".join([grid.finding(cells, grid.verdicts(cells)), "", *sweeps.finding(fits, formulations)])
+    of_axes = sweeps.finding(fits, formulations)
+    return "\n".join(
+        [grid.finding(cells, grid.verdicts(cells)), "", *of_axes, "", *sweeps.finding_of_examples(examples)]
+    )

@@ -28,8 +28,8 @@ from studies.efficiency_fits import maximum_likelihood
 from studies.efficiency_sweeps import Errors, Sample, Setting, Step, draw, errors_of, steps_of
 from studies.study import Mode
 
-DRAWS: dict[Mode, int] = {"full": 32, "quick": 1}
-_PER_JOB = 8
+DRAWS: dict[Mode, int] = {"full": 28, "quick": 1}
+_PER_JOB = 7
 
 REPROJECTION = "Reprojection"
 """Solved by `planeopt.estimation.solve_points`, many at once; the NLP finds the same planes."""

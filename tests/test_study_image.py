@@ -108,6 +108,9 @@ def cases(rows: Sequence[CaseRow]) -> Iterator[str]:
     for row in rows:
         if row.right < row.least_right or row.right + row.refused < row.images:
             yield f"{row}"
+    right, images = sum(row.right for row in rows), sum(row.images for row in rows)
+    if right < scipy.stats.binom.ppf(LEVEL / 2, images, RIGHT):
+        yield f"{right} of {images} planes are right"
 
 
 def honesty(rows: Sequence[HonestyRow]) -> Iterator[str]:
@@ -124,6 +127,10 @@ def flags(rows: Sequence[FlagRow]) -> Iterator[str]:
         silent = row.said < scipy.stats.binom.ppf(tail, row.images, RIGHT)
         if silent if row.expected else row.said > scipy.stats.binom.isf(tail, row.images, FALSE_ALARMS):
             yield f"{row}"
+    said = sum(row.said for row in rows if row.expected)
+    faulty = sum(row.images for row in rows if row.expected)
+    if said < scipy.stats.binom.ppf(LEVEL / 2, faulty, RIGHT):
+        yield f"{said} of {faulty} faults are said"
 
 
 def test_the_quick_study(tmp_path: Path) -> None:
