@@ -12,7 +12,18 @@ from planeopt.errors import InputError
 from planeopt.executors import workers
 from studies.study import Study, put_headline, write
 
-STUDIES = ("basins", "efficiency", "coverage", "image", "calibration", "many_images", "rig_checks")
+STUDIES = (
+    "paper",
+    "basins",
+    "swift",
+    "constraints",
+    "efficiency",
+    "coverage",
+    "image",
+    "calibration",
+    "many_images",
+    "rig_checks",
+)
 RESULTS = Path(__file__).parent / "results"
 
 

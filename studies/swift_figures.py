@@ -168,8 +168,8 @@ def paths_figure(tables: Tables, said: Mapping[str, float]) -> Figure:
     """Draw the searches' paths in depth and tilt over the least sum of squares."""
     del said
     last = {method: [row for row in tables.paths if row.method == method][-1] for method in _paths(tables)}
-    ends = "; ".join(f"{_named(name)} {row.z_L_mm:.1f} mm, {row.alpha_deg:.1f} deg" for name, row in last.items())
-    with figure(11.5, 5.4, f"From the paper's start to: {ends}") as made:
+    ends = ", ".join(f"{row.z_L_mm:.1f} ({_named(name)})" for name, row in last.items())
+    with figure(11.5, 5.4, f"Paths from the paper's start end at z_L = {ends} mm") as made:
         axes = made.subplots()
         _draw_valley(axes, tables.valley)
         looks = (("o", DARK, "-"), ("s", LIGHT, "--"), ("^", RED, ":"))
