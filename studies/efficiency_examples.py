@@ -1,4 +1,4 @@
-"""The paper's example, 40 % of its arc, and a plane farther off: the programmes themselves, draw by draw, many draws."""
+"""The paper's example, 40 % of its arc, and a plane farther off: the programmes themselves, solved draw by draw."""
 
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
