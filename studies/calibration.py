@@ -6,7 +6,8 @@
 2. **Repeats.** Do the parameters of fixed sessions scatter as reported?
 3. **One covariance.** What does a plane measured with the rig get from the joint covariance, and what if camera and
    beam are taken as independent?
-4. **What it depends on.** Views, tilts, depths.
+4. **What it depends on.** The number of views, their tilts, their depths; and what of it a plane suffers that is
+   measured with the rig, beside the noise of its own spot.
 5. **Models.** What do a bow, a tangential distortion and a tilt of the beam cost if the model has no place for them, or
    if a test decides whether it has?
 """
@@ -16,13 +17,15 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 
 from studies.calibration_accuracy import AccuracyRow, run_accuracy
-from studies.calibration_figures import accuracy_figure, coverage_figure, models_figure, repeats_figure
+from studies.calibration_accuracy_figures import accuracy_figure, cost_figure
+from studies.calibration_figures import coverage_figure, models_figure, repeats_figure
 from studies.calibration_images import ImageRow, run_images
 from studies.calibration_judged import groups_of, judge
 from studies.calibration_models import ModelRow, run_models
+from studies.calibration_numbers import headline, numbers
 from studies.calibration_repeats import DrawRow, run_repeats
 from studies.calibration_sessions import SessionRow, run_sessions
-from studies.calibration_summary import finding, headline, summarised
+from studies.calibration_summary import finding, summarised
 from studies.study import Mode, Result
 
 
@@ -40,7 +43,7 @@ class _Size:
     """Of the accuracy's cells only every so many-th."""
 
 
-_SIZES: dict[Mode, _Size] = {"full": _Size(200, 20, 6, 100, 6, 20), "quick": _Size(8, 1, 2, 8, 1, 1, 5)}
+_SIZES: dict[Mode, _Size] = {"full": _Size(200, 20, 6, 100, 6, 20), "quick": _Size(4, 1, 2, 4, 1, 1, 6)}
 
 
 def run(mode: Mode, executor: Executor | None = None) -> Result:
@@ -64,6 +67,7 @@ def result_of(
 ) -> Result:
     """Return the tables, figures and words of what was simulated."""
     judged, summaries = judge(sessions, images, draws), summarised(models)
+    said = numbers(sessions, accuracy, judged)
     return Result(
         tables={
             "sessions": sessions,
@@ -76,12 +80,14 @@ def result_of(
             "repeats": judged.repeats,
             "summaries": summaries,
         },
-        headline=headline(sessions, images, draws, judged),
+        headline=headline(said),
         finding=finding(sessions, images, draws, accuracy, summaries, judged),
         figures={
             "coverage": coverage_figure(groups_of(sessions, images), judged),
             "repeats": repeats_figure(judged),
             "accuracy": accuracy_figure(accuracy),
+            "pose_cost": cost_figure(accuracy),
             "models": models_figure(models, summaries, sessions),
         },
+        numbers=said,
     )

@@ -1,4 +1,4 @@
-"""What a calibration's accuracy depends on: the number of views, their tilts, their depths."""
+"""What a calibration's accuracy, and what it costs a plane, depend on: the views' number, their tilts, their depths."""
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
@@ -10,9 +10,14 @@ import scipy.stats
 from planeopt.calibration.equations import AdjustmentError
 from planeopt.calibration.pose_cost import pose_cost
 from planeopt.errors import InputError
+from planeopt.estimation import solve
 from planeopt.executors import ordered_map
+from planeopt.plane import SpotPose
+from planeopt.rig import Rig
 from planeopt.simulation import Shooting, random_session
+from planeopt.spot import Spot
 from studies.calibration_fits import NAN, fit_default, truth_of
+from studies.outline import pixels_at
 
 VIEWS = (3, 4, 6, 8, 10, 15, 20, 30, 40)
 TILTS_DEG = (4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 40.0)
@@ -20,7 +25,10 @@ RATIOS = (1.02, 1.1, 1.25, 1.5, 2.0, 2.5)
 CORNER_PX, SPOT_PX = 0.2, 0.1
 _VIEWS, _TILT_DEG, _RATIO = 15, 40.0, 2.0
 _SIZE = (1280, 960)
-_PLANE_TILT = np.radians(30.0)
+PLANE_TILT_DEG = 30.0
+BOUNDARY = 100
+"""Points of the boundary of a plane's spot, each known to `SPOT_PX`."""
+_DIRECTION = 0.5
 
 
 @dataclass(frozen=True)
@@ -40,7 +48,10 @@ class AccuracyRow:
     offset_mm, radius_mm, direction_mrad : float
         Standard deviations: of (e_x, e_y) and of the direction, root of the sum of squares, and of the radius.
     z_L_relative, normal_deg : float
-        What the calibration alone costs a plane tilted by 30 degrees at the working distance.
+        What the calibration alone costs a plane tilted by 30 degrees at the working distance: standard deviation of z_L
+        over z_L, and of the normal.
+    z_L_spot_relative, normal_spot_deg : float
+        What the noise of that plane's own spot costs it: 100 points of the boundary, each known to 0.1 px.
     """
 
     varied: str
@@ -54,6 +65,8 @@ class AccuracyRow:
     direction_mrad: float
     z_L_relative: float
     normal_deg: float
+    z_L_spot_relative: float
+    normal_spot_deg: float
 
 
 @dataclass(frozen=True)
@@ -88,9 +101,10 @@ def _measured(job: _Job) -> AccuracyRow:
     try:
         fit = fit_default(session.observations)
         depth = float(np.median(session.poses.translations[:, 2]))
-        (cost,) = pose_cost(fit.rig, np.array([[depth, _PLANE_TILT, 0.5]]))
+        (cost,) = pose_cost(fit.rig, np.array([[depth, np.radians(PLANE_TILT_DEG), _DIRECTION]]))
+        z_L_spot, normal_spot = _of_the_spot(fit.rig, depth)
     except (AdjustmentError, InputError) as error:
-        return AccuracyRow(job.varied, job.value, job.seed, " ".join(str(error).split()), *[NAN] * 7)
+        return AccuracyRow(job.varied, job.value, job.seed, " ".join(str(error).split()), *[NAN] * 9)
     f, true = fit.value("f"), truth_of(session)["f"]
     offset, direction = (np.hypot(fit.sigma(f"{a}_x"), fit.sigma(f"{a}_y")) for a in ("e", "direction"))
     return AccuracyRow(
@@ -105,7 +119,32 @@ def _measured(job: _Job) -> AccuracyRow:
         float(1e3 * direction),
         cost.sigma_z_L / depth,
         float(np.degrees(cost.sigma_normal)),
+        z_L_spot / depth,
+        float(np.degrees(normal_spot)),
     )
+
+
+def _of_the_spot(rig: Rig, depth: float) -> tuple[float, float]:
+    """Return what a spot's own noise costs the plane: the standard deviations of z_L (mm) and of the normal (rad)."""
+    tilt = np.radians(PLANE_TILT_DEG)
+    pose = SpotPose.canonical(rig.require_beam().radius / np.cos(tilt), depth, tilt, _DIRECTION)
+    theta = 2 * np.pi * np.arange(BOUNDARY) / BOUNDARY
+    spot = Spot(pixels_at(rig, pose, theta)[0], np.full(BOUNDARY, SPOT_PX), arc_fraction=1.0)
+    found = solve(spot, rig).uncertainty
+    if found is None:
+        return NAN, NAN
+    return float(np.sqrt(found.spot[0, 0])), float(np.sqrt(np.trace(found.normal_spot)))
+
+
+def median(rows: Sequence[AccuracyRow], varied: str, value: float, name: str) -> float:
+    """Return the median of a field over the sessions of a kind."""
+    own = [getattr(row, name) for row in rows if (row.varied, row.value) == (varied, value)]
+    return float(np.nanmedian(own))
+
+
+def values_of(rows: Sequence[AccuracyRow], varied: str) -> list[float]:
+    """Return what was tried of views, tilts or depths, rising."""
+    return sorted({row.value for row in rows if row.varied == varied})
 
 
 def typical_error(rows: Sequence[AccuracyRow], varied: str, value: float) -> float:

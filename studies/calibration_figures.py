@@ -7,7 +7,6 @@ import scipy.stats
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from studies.calibration_accuracy import AccuracyRow, typical_error
 from studies.calibration_fits import QUANTITIES, Errors, of
 from studies.calibration_judged import Groups, Judged, pooled
 from studies.calibration_models import BOWED, OBLIQUE, ModelRow
@@ -117,61 +116,6 @@ def repeats_figure(judged: Judged) -> Figure:
 
 def _draws(judged: Judged, session: str) -> int:
     return next(row.draws for row in judged.repeats if row.session == session)
-
-
-_NEAR = 1.2
-"""Depth ratios below have no room for a tick of their own but the first."""
-
-_PANELS = {
-    "views": "views (tilt to 40°, depths 1:2)",
-    "tilt": "largest tilt, degrees (15 views, depths 1:2)",
-    "depths": "farthest over nearest depth (15 views, tilt to 40°)",
-}
-
-
-def accuracy_figure(rows: Sequence[AccuracyRow]) -> Figure:
-    """Draw what the number of views, tilts and depths are worth."""
-    (low, high), (near, far) = _range(rows, "tilt"), _range(rows, "depths")
-    f = [100 * _median(rows, "tilt", value, "f_relative") for value in (low, high)]
-    offset = [_median(rows, "depths", value, "offset_mm") for value in (near, far)]
-    heading = (
-        f"Tilt makes f: {f[0]:.2g} % at {low:g}°, {f[1]:.2g} % at {high:g}°; depths make the offset: {offset[0]:.2g} "
-        f"mm at 1:{near:g}, {offset[1]:.2g} mm at 1:{far:g}; crosses: errors of f"
-    )
-    with figure(13.0, 4.6, heading) as made:
-        grid = np.ravel(made.subplots(1, 3, sharey=True))
-        for axes, (varied, label) in zip(grid, _PANELS.items(), strict=True):
-            values = sorted({row.value for row in rows if row.varied == varied})
-            for name, colour, marker, text, scale in (
-                ("f_relative", DARK, "o", "$f$ (%)", 100.0),
-                ("z_L_relative", "0.5", "v", "$z_L$ of a plane (%)", 100.0),
-                ("offset_mm", LIGHT, "s", "$e$ (mm)", 1.0),
-                ("radius_mm", "black", "D", "$r$ (mm)", 1.0),
-                ("direction_mrad", RED, "^", "direction (mrad)", 1.0),
-            ):
-                medians = [scale * _median(rows, varied, value, name) for value in values]
-                axes.plot(values, medians, "-", marker=marker, ms=4, color=colour, lw=1.3, label=text)
-            errors = [100 * typical_error(rows, varied, value) for value in values]
-            axes.plot(values, errors, "x", color=DARK, ms=6)
-            axes.set(xlabel=label, yscale="log", xscale="linear" if varied == "depths" else "log")
-            ticks = [value for value in values if varied != "depths" or value == values[0] or value > _NEAR]
-            axes.set_xticks(ticks, [f"{value:g}" for value in ticks])
-            axes.minorticks_off()
-            axes.grid()
-        grid[0].set_ylabel("standard deviation, median over sessions")
-        handles, labels = grid[0].get_legend_handles_labels()
-        made.legend(handles, labels, loc="outside lower center", ncols=len(labels))
-    return made
-
-
-def _range(rows: Sequence[AccuracyRow], varied: str) -> tuple[float, float]:
-    values = [row.value for row in rows if row.varied == varied]
-    return min(values), max(values)
-
-
-def _median(rows: Sequence[AccuracyRow], varied: str, value: float, name: str) -> float:
-    own = [row for row in rows if (row.varied, row.value) == (varied, value)]
-    return float(np.median(of(own, name)))
 
 
 def models_figure(

@@ -27,8 +27,8 @@ from studies.calibration_fits import NAN, NO_ERRORS, Errors, errors_row
 FIRST = 300
 """Seed of the first of these sessions, which are others than those of the point sets."""
 
-_SIZES = {"full": (1024, 768), "quick": (800, 600)}
-_VIEWS = {"full": 12, "quick": 8}
+_SIZES = {"full": (1024, 768), "quick": (640, 480)}
+_VIEWS = {"full": 12, "quick": 6}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -37,7 +37,8 @@ class SessionRow(Errors):
     f_relative : float
         Standard deviation of f over f.
     z_L_sigmas, p_sigmas, q_sigmas : float
-        Errors of a plane at the working distance, whose boundary is exact, in its own standard deviations.
+        Errors of a plane at the working distance, whose boundary is exact, in its own standard deviations; by default
+        models alone.
     z_L_apart, p_apart, q_apart : float
         The same with camera and beam taken as independent.
     z_L_sigma_mm, z_L_apart_mm : float
@@ -86,7 +87,8 @@ def _row(seed: int, session: SimulatedSession, model: str) -> SessionRow:
         adjustment = fitted(session, model)
         errors = errors_row(adjustment, session)
         relative = adjustment.sigma("f") / adjustment.value("f")
-        poses = pose_errors(adjustment.rig, session.rig, working_pose(session, seed))
+        if model == DEFAULT:
+            poses = pose_errors(adjustment.rig, session.rig, working_pose(session, seed))
     except (AdjustmentError, InputError) as error:
         outcome = " ".join(str(error).split())
     joint, apart = _over(poses)

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studies.calibration_accuracy import AccuracyRow, typical_error, worst_in_sigmas
+from studies.calibration_accuracy import BOUNDARY, SPOT_PX, AccuracyRow, typical_error, worst_in_sigmas
 from studies.calibration_fits import POSE, QUANTITIES, of
 from studies.calibration_images import ImageRow
-from studies.calibration_judged import IMAGES, LEVELS, PLANES, POINTS, Judged, groups_of, pooled
+from studies.calibration_judged import LEVELS, PLANES, Judged, groups_of, pooled
 from studies.calibration_models import OBLIQUE, ModelRow
+from studies.calibration_numbers import median_apart
 from studies.calibration_repeats import ALL, DrawRow
 from studies.calibration_sessions import DEFAULT, SessionRow
 from studies.statistics import LEVEL
@@ -100,31 +101,6 @@ def summarised(rows: Sequence[ModelRow]) -> list[ModelSummary]:
     return found
 
 
-def headline(
-    sessions: Sequence[SessionRow], images: Sequence[ImageRow], draws: Sequence[DrawRow], judged: Judged
-) -> str:
-    """Return the answer in a sentence."""
-    ratios = [row.ratio for row in pooled(judged).values()]
-    by_default = [row for row in sessions if row.model == DEFAULT]
-    return (
-        f"Over {len(by_default)} simulated sessions 95 % intervals of f, cx, cy, e_x, e_y, r and the direction hold "
-        f"the truth in {_shares(judged, POINTS)} % of cases, over {len(images)} rendered ones in "
-        f"{_shares(judged, IMAGES)} %; over {len(draws)} repeats reported standard deviations are "
-        f"{min(ratios):.2f} to {max(ratios):.2f} times the scatter; {judged.kept} of {judged.tests} tests are within "
-        f"their limits at a family-wise {LEVEL}. Without what camera and beam have in common the standard deviation of "
-        f"a plane's z_L would be {_apart(by_default):.0f} times what it is."
-    )
-
-
-def _apart(rows: Sequence[SessionRow]) -> float:
-    return float(np.median(of(rows, "z_L_apart_mm") / of(rows, "z_L_sigma_mm")))
-
-
-def _shares(judged: Judged, group: str) -> str:
-    found = [100 * row.share for row in judged.coverage if (row.group, row.level) == (group, LEVELS[1])]
-    return f"{min(found):.1f} to {max(found):.1f}"
-
-
 def finding(
     sessions: Sequence[SessionRow],
     images: Sequence[ImageRow],
@@ -140,20 +116,22 @@ def finding(
     lines = [
         "# Calibration",
         "",
-        f"**Sessions.** {len(by_default)} of random rigs, boards and lenses, {min(views)} to {max(views)} views each, "
+        f"**Sessions** (`sessions.csv`). {len(by_default)} of random rigs, boards and lenses, {min(views)} to "
+        f"{max(views)} views each, "
         f"corners with noise of {min(noise):.2f} to {max(noise):.2f} px, boards bowed by 0.1 mm or so; "
         f"{_outcomes(sessions)}. Each is calibrated as it is unless told otherwise (every term free, with what all "
         "cameras have in common as prior), and with the terms that it was simulated with.",
         "",
-        f"**Images.** {len(images)} rendered sessions, detected and calibrated from their folders: "
+        f"**Images** (`images.csv`). {len(images)} rendered sessions, detected and calibrated from their folders: "
         f"{_outcomes(images)}; {100 * np.mean(of(images, 'share')):.0f} % of the corners in view are found, "
         f"{1e3 * np.median(of(images, 'corner_px')):.1f} thousandths of a pixel from the truth (RMS of a coordinate, "
         f"median over sessions; largest {1e3 * np.max(of(images, 'corner_px')):.1f}).",
         "",
-        f"**Family.** {judged.kept} of {judged.tests} tests are within two-sided limits at a family-wise level of "
+        "**Family** (`coverage.csv`, `joint.csv`, `repeats.csv`). "
+        f"{judged.kept} of {judged.tests} tests are within two-sided limits at a family-wise level of "
         f"{LEVEL}{_outside(judged)}.",
         "",
-        "**Coverage**, % of sessions whose interval holds the truth:",
+        "**Coverage** (`coverage.csv`: `covered` over `sessions`), % of sessions whose interval holds the truth:",
         "",
         f"| group | sessions | level | {' | '.join(LABELS[name] for name in QUANTITIES)} |",
         f"|---|---|---|{'---|' * len(QUANTITIES)}",
@@ -166,7 +144,7 @@ def finding(
         f"|---|---|---|{'---|' * len(POSE)}",
         *_coverage(judged, POSE, [PLANES]),
         "",
-        "**Joint covariance**, all parameters at once; 1 is right:",
+        "**Joint covariance** (`joint.csv`), all parameters at once; 1 is right:",
         "",
         "| sessions | number | chi-squared over its degrees of freedom | limits | uniformity of the p-values |",
         "|---|---|---|---|---|",
@@ -176,30 +154,35 @@ def finding(
             for row in judged.joint
         ),
         "",
-        f"**Repeats.** {len({row.session for row in draws})} sessions with new noise, {len(draws)} calibrations: "
+        "**Repeats** (`draws.csv`; `repeats.csv`, `ratio`). "
+        f"{len({row.session for row in draws})} sessions with new noise, {len(draws)} calibrations: "
         "reported standard deviation over scatter, pooled "
         f"(limits {_pooled_limits(judged)}): "
         + ", ".join(f"{LABELS[name]} {row.ratio:.3f}" for name, row in pooled(judged).items())
         + ".",
         "",
-        "**One covariance.** With camera and beam taken as independent, each with its own covariance, the same planes' "
-        f"standard deviation of z_L would be {_apart(by_default):.0f} times as large in the median ("
+        "**One covariance** (`sessions.csv`: `z_L_apart_mm` over `z_L_sigma_mm`). "
+        "With camera and beam taken as independent, each with its own covariance, the same planes' "
+        f"standard deviation of z_L would be {median_apart(by_default):.0f} times as large in the median ("
         f"{np.median(of(by_default, 'z_L_apart_mm')):.2g} mm, not {np.median(of(by_default, 'z_L_sigma_mm')):.2g} mm), "
         f"and 95 % intervals would hold the truth in {_apart_coverage(by_default)} % of cases: the offset is as "
         "uncertain as the principal point, and the two move together.",
         "",
-        "**What the accuracy depends on** (medians of standard deviations, and the errors' own, as the median of their "
-        "size tells it; corners 0.2 px, boundaries 0.1 px; 15 views, tilts to 40 degrees, depth ratio 2 but where "
-        "varied):",
+        "**What the accuracy depends on** (`accuracy.csv`; medians of standard deviations, and the errors' own, as the "
+        "median of their size tells it; corners 0.2 px, boundaries 0.1 px; 15 views, tilts to 40 degrees, depth ratio "
+        "2 but where varied). The last columns are what the calibration costs a plane tilted by 30 degrees at the "
+        f"working distance, and what the noise of its own spot does ({BOUNDARY} points known to {SPOT_PX:g} px):",
         "",
-        "| varied | value | f (%) | error of f (%) | e (mm) | r (mm) | direction (mrad) | z_L (%) | normal (deg) |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| varied | value | f (%) | error of f (%) | e (mm) | r (mm) | direction (mrad) | z_L (%) | of its spot | "
+        "normal (deg) | of its spot |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
         *_accuracies(accuracy),
         "",
         f"Where views are hardly tilted the errors are not of first order: {_flat(accuracy)}. `calibrate` refuses "
         "sessions without views tilted by 10 degrees or more.",
         "",
-        "**Models** that lack something, or are chosen by a test (RMS errors; medians of standard deviations):",
+        "**Models** (`models.csv`, `summaries.csv`) that lack something, "
+        "or are chosen by a test (RMS errors; medians of standard deviations):",
         "",
         "| there is | the model | f: error, own sigma (%) | 95 % intervals hold (%) | least often | "
         "beam off axis (mrad) | plane: z_L (%), normal (deg) |",
@@ -246,14 +229,15 @@ _VARIED = {"views": "views", "tilt": "largest tilt (deg)", "depths": "depth rati
 def _accuracies(rows: Sequence[AccuracyRow]) -> Iterator[str]:
     for varied, value in dict.fromkeys((row.varied, row.value) for row in rows):
         own = [row for row in rows if (row.varied, row.value) == (varied, value)]
-        f, offset, radius, direction, z_L, normal = (
-            float(np.median(of(own, name)))
-            for name in ("f_relative", "offset_mm", "radius_mm", "direction_mrad", "z_L_relative", "normal_deg")
+        f, offset, radius, direction = (
+            float(np.median(of(own, name))) for name in ("f_relative", "offset_mm", "radius_mm", "direction_mrad")
         )
+        z_L, of_spot = (100 * float(np.median(of(own, name))) for name in ("z_L_relative", "z_L_spot_relative"))
+        normal, turned = (float(np.median(of(own, name))) for name in ("normal_deg", "normal_spot_deg"))
         yield (
             f"| {_VARIED[varied]} | {value:g} | {100 * f:.2g} | "
             f"{100 * typical_error(rows, varied, value):.2g} | {offset:.2g} | {radius:.2g} | {direction:.2g} | "
-            f"{100 * z_L:.2g} | {normal:.2g} |"
+            f"{z_L:.2g} | {of_spot:.2g} | {normal:.2g} | {turned:.2g} |"
         )
 
 

@@ -28,10 +28,16 @@ BOW_MM = 0.2
 RIGS = {"full": (1, 2, 3, 4), "quick": (2,)}
 """Random rigs, each with the covariance of a calibration."""
 VIEWS = {"full": (1, 2, 4), "quick": (2,)}
-CHECKS = {"full": (60, 5), "quick": (12, 2)}
+CHECKS = {"full": (45, 4), "quick": (6, 1)}
 """Of a rig drawn from its covariance alone, and of one of which a part has moved besides."""
-UPDATES = {"full": (400, 400), "quick": (15, 15)}
+UPDATES = {"full": (250, 250), "quick": (6, 6)}
 """Field recalibrations, of a beam that has not moved and of one that has."""
+
+RIGHT = "nothing"
+"""What has moved of a rig that is as calibrated."""
+
+COMPONENTS = {"parameters": 8, "four": 4, "plane": 3}
+"""Of which an update's squared error is known, and how many numbers they are."""
 
 MOVES = (
     ("the focal length", {"f": 0.005}),
@@ -118,7 +124,7 @@ def _check_row(group: str, views: int, checks: Sequence[_Check]) -> CheckRow:
         p_values = [p_value for *_, p_value in found]
         numbers[f"{name}_uniform"] = float(scipy.stats.kstest(p_values, "uniform").pvalue) if law else math.nan
     return CheckRow(
-        moved=group or "nothing",
+        moved=group or RIGHT,
         views=views,
         checks=len(checks),
         degraded=float(np.mean([check.degraded for check in checks])),
@@ -179,7 +185,7 @@ _AT_ONCE = 20
 def run_updates(mode: Mode, executor: Executor | None) -> list[UpdateRow]:
     """Update rigs drawn from a covariance by images of planes, where nothing has moved and where the beam has."""
     rows = []
-    for place, (moved, updates) in enumerate(zip(("nothing", "the beam"), UPDATES[mode], strict=True)):
+    for place, (moved, updates) in enumerate(zip((RIGHT, "the beam"), UPDATES[mode], strict=True)):
         jobs = [(place, begin, min(_AT_ONCE, updates - begin)) for begin in range(0, updates, _AT_ONCE)]
         found = [row for part in ordered_map(_updates, jobs, executor) for row in part]
         kept = np.array([row for row in found if row is not None])

@@ -5,6 +5,10 @@ from dataclasses import dataclass, field
 from html.parser import HTMLParser
 from typing import Any
 
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
 _VOID = {"meta", "link", "img", "br", "input", "hr"}
 _NUMBER = re.compile(r"-?\d+(?:\.(\d+))?(?:e([-+]\d+))?")
 
@@ -82,6 +86,24 @@ class PageReader(HTMLParser):
             self.figures[-1].caption += data
         elif "figure" in inside and "h3" in inside:
             self.figures[-1].heading += data
+
+
+class _Blank:
+    """A canvas on which nothing is drawn."""
+
+    def __init__(self, figure: object) -> None:
+        del figure
+
+    def draw(self) -> None:
+        pass
+
+    def buffer_rgba(self) -> NDArray[np.uint8]:
+        return np.full((2, 2, 4), 255, np.uint8)
+
+
+def undrawn(patch: pytest.MonkeyPatch) -> None:
+    """Leave pictures blank, which takes less time than drawing them: all else of pages is as ever."""
+    patch.setattr("planeopt.report.style.FigureCanvasAgg", _Blank)
 
 
 def value_at(data: Any, key: str) -> Any:

@@ -1,5 +1,7 @@
 """Predictions of what had no say: their errors are as large as they should be, and too large where views disagree."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from planeopt.simulation import board_faults
 from planeopt.simulation.board_random import Shooting, random_session
 
 
+@cache
 def found(seed: int = 2, views: int = 12) -> HeldOut:
     made = held_out(good(seed, views), seed=1)
     assert made is not None
@@ -35,14 +38,14 @@ def test_expected_errors_are_right_in_the_mean():
     """Over sessions with other noise: the stated spread of the ratio is its spread, and one its mean."""
     session = random_session(4, shooting=Shooting(8), warp=FLAT, corner_sigma=0.1)
     ratios, spread = [], 0.0
-    for seed in range(8):
+    for seed in range(5):
         made = held_out(adjust(session.again(seed).observations, Model()), folds=0)
         assert made is not None
         ratios.append(made.halves.ratio)
         spread = made.halves.uncertainty
-    # 3.9 sigma of a mean and of a standard deviation of 8.
-    assert abs(np.mean(ratios) - 1) < 3.9 * spread / np.sqrt(8)
-    assert np.std(ratios, ddof=1) < spread * (1 + 3.9 / np.sqrt(14))
+    # 3.9 sigma of a mean and of a standard deviation of 5.
+    assert abs(np.mean(ratios) - 1) < 3.9 * spread / np.sqrt(5)
+    assert np.std(ratios, ddof=1) < spread * (1 + 3.9 / np.sqrt(8))
 
 
 def test_every_view_is_in_one_fold():
@@ -53,7 +56,9 @@ def test_every_view_is_in_one_fold():
 
 
 def test_the_same_seed_gives_the_same_answer_and_another_one_does_not():
-    assert found().halves == found().halves
+    again = held_out(good(), seed=1)
+    assert again is not None
+    assert again.halves == found().halves
     other = held_out(good(), seed=2)
     assert other is not None
     assert other.halves != found().halves

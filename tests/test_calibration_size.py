@@ -9,17 +9,17 @@ from planeopt.calibration.adjustment import adjust
 from planeopt.calibration.model import Model
 from planeopt.simulation import long_session
 
-COUNTS = (20, 40, 80)
+COUNTS = (10, 20, 40)
 
 
 @pytest.fixture(scope="module")
 def peaks() -> list[tuple[int, int, int]]:
     """Steps of the descent, corners and the most memory held at once, by the number of views."""
+    # What is made once, whatever the session, is made before.
+    adjust(long_session(3, COUNTS[0]).observations, Model(distortion="k3"))
     found = []
     for views in COUNTS:
         observations = long_session(3, views).observations
-        # What is made once, whatever the session, is made before.
-        adjust(observations, Model(distortion="k3"))
         tracemalloc.start()
         adjustment = adjust(observations, Model(distortion="k3"))
         found.append((adjustment.iterations, sum(map(len, observations.views)), tracemalloc.get_traced_memory()[1]))

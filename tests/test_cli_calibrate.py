@@ -28,7 +28,7 @@ from planeopt.report.calibration_words import FORCED, NOT_WRITTEN
 from planeopt.simulation.board_faults import frontal_session
 from planeopt.simulation.board_random import Shooting, random_session
 from planeopt.simulation.board_sessions import SimulatedSession
-from report_page import PageReader, differing
+from report_page import PageReader, differing, undrawn
 from session_folder import first_views, write_points_session
 
 FILES = ["calibration.html", "calibration.json", "rig.toml"]
@@ -84,6 +84,12 @@ def pageless(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("planeopt.report.calibration_files.calibration_html", lambda file: file.message)
 
 
+@pytest.fixture
+def blank(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages are written with blank pictures."""
+    undrawn(monkeypatch)
+
+
 def test_the_rig_is_that_of_the_record_and_near_the_truth(made: Made):
     assert sorted(path.name for path in made.folder.iterdir()) == FILES
     rig, data = po.load_rig(made.folder / "rig.toml"), made.data
@@ -126,6 +132,7 @@ def test_two_runs_give_the_same_bytes(made: Made, tmp_path: Path):
         assert (tmp_path / "elsewhere" / name).read_bytes() == (made.folder / name).read_bytes()
 
 
+@pytest.mark.usefixtures("pageless")
 def test_the_record_alone_gives_the_rig_again(made: Made, tmp_path: Path):
     assert run(made.folder / "calibration.json", "-o", tmp_path / "again") == 0
     assert (tmp_path / "again" / "rig.toml").read_bytes() == (made.folder / "rig.toml").read_bytes()
@@ -140,7 +147,8 @@ def test_options_reach_the_model_and_are_kept_for_the_next_time(made: Made, tmp_
     asked = ["--distortion", "k2", "--beam", "parallel", "--no-warp", "--focal", "separate", "--seed", "3"]
     asked += ["--corner-weights", "equal", "--no-reject"]
     f_mm = made.truth.rig.focal_length
-    run(made.session, "-o", tmp_path / "one", "--force", *asked, "--expect", f"f_mm={f_mm},1")
+    session = write_points_session(first_views(made.truth.observations, 6), tmp_path / "session")
+    run(session, "-o", tmp_path / "one", "--force", *asked, "--expect", f"f_mm={f_mm},1")
     first = load_record(tmp_path / "one" / "calibration.json")
     assert first.adjustment is not None
     model = first.adjustment.model
@@ -159,6 +167,7 @@ def test_options_reach_the_model_and_are_kept_for_the_next_time(made: Made, tmp_
     assert po.load_rig(tmp_path / "two" / "rig.toml").beam is None
 
 
+@pytest.mark.usefixtures("blank")
 def test_the_time_is_the_environments_or_none(ready: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     assert ready.data["provenance"]["time"] is None
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
@@ -185,6 +194,7 @@ def test_a_refused_calibration_gives_no_rig(frontal: Path, tmp_path: Path, capsy
     assert NOT_WRITTEN in (tmp_path / "out" / "calibration.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.usefixtures("blank")
 def test_force_writes_a_refused_rig_marked_so(made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     session = write_points_session(first_views(made.truth.observations, 4), tmp_path / "session")
     assert run(session, "-o", tmp_path / "out", "--force") == 2
@@ -195,6 +205,7 @@ def test_force_writes_a_refused_rig_marked_so(made: Made, tmp_path: Path, capsys
     assert FORCED in (tmp_path / "out" / "calibration.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.usefixtures("pageless")
 def test_two_views_cannot_be_forced_and_an_earlier_rig_stays(
     made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -282,6 +293,7 @@ def test_an_existing_folder_and_what_is_read_are_left_alone(made: Made, capsys: 
     assert {name: (made.folder / name).read_bytes() for name in FILES} == before
 
 
+@pytest.mark.usefixtures("blank")
 @pytest.mark.parametrize("stage", ["write_text", "calibration_html", "save_rig"])
 def test_a_run_that_is_cut_short_leaves_nothing(
     ready: Made, stage: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -319,6 +331,7 @@ def test_called_from_a_program_no_handler_is_set():
     assert signal.getsignal(signal.SIGTERM) is before
 
 
+@pytest.mark.usefixtures("blank")
 def test_a_camera_alone(made: Made, tmp_path: Path):
     views = tuple(replace(view, spot=None) for view in made.truth.observations.views)
     alone = replace(made.truth.observations, views=views, spot="none")

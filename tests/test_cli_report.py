@@ -27,7 +27,7 @@ from planeopt.report.schema import report_schema
 from planeopt.report.words import CAPTIONS
 from planeopt.rig import Mount, RigCovariance, save_rig
 from planeopt.spot import Spot, find_spot, read_image, write_points
-from report_page import PageReader, differing
+from report_page import PageReader, differing, undrawn
 
 RIG = str(example_folder() / "truth_rig.toml")
 TARGETS = [str(path) for path in example_targets()]
@@ -66,8 +66,14 @@ def run(folder: Path, *arguments: str) -> int:
 def targets(tmp_path_factory: pytest.TempPathFactory) -> Made:
     """All bundled targets."""
     folder = tmp_path_factory.mktemp("targets")
-    assert run(folder, *TARGETS, "--rig", RIG, *FEW, "--jobs", "2", "--sequence") == 0
+    assert run(folder, *TARGETS, "--rig", RIG, *FEW, "--sequence") == 0
     return Made.of(folder)
+
+
+@pytest.fixture
+def blank(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reports are written with blank pictures."""
+    undrawn(monkeypatch)
 
 
 def sparse_spot() -> Spot:
@@ -246,6 +252,7 @@ def test_the_same_command_writes_the_same_bytes_in_any_number_of_processes(
     assert b"D:20231114221320" in contents[0]["report.pdf"]
 
 
+@pytest.mark.usefixtures("blank")
 def test_a_single_input_without_a_posterior(tmp_path: Path):
     assert run(tmp_path, TARGETS[1], "--rig", RIG, "--no-posterior") == 0
     single = Made.of(tmp_path)
@@ -257,6 +264,7 @@ def test_a_single_input_without_a_posterior(tmp_path: Path):
     assert differing(single.page.cells, single.data) == []
 
 
+@pytest.mark.usefixtures("blank")
 def test_options_reach_the_sampler(tmp_path: Path):
     options = ["--robust", "4", "--both-sides", "--condition-on-rig", "--seed", "3"]
     assert run(tmp_path, TARGETS[2], "--rig", RIG, *FEW, *options) == 0
@@ -338,6 +346,7 @@ def test_a_browser_prints_the_page(targets: Made, tmp_path: Path):
     assert len(pages) <= 1.5 * len(targets.paper.pages)
 
 
+@pytest.mark.usefixtures("blank")
 def test_a_sampler_that_breaks_down_costs_its_posterior_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     def broken(*_: Any, **__: Any) -> None:
         raise np.linalg.LinAlgError("singular\nmatrix")
@@ -354,6 +363,7 @@ def test_a_sampler_that_breaks_down_costs_its_posterior_alone(tmp_path: Path, mo
     assert [figure.key for figure in page.figures if not figure.table] == ["overlay", "residuals"]
 
 
+@pytest.mark.usefixtures("blank")
 def test_an_interrupt_while_sampling_ends_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     def interrupted(*arguments: Any, **options: Any) -> Posterior:
         posterior = sample_posterior(*arguments, **options)

@@ -89,14 +89,14 @@ def pose_distance(result: Recalibration, true: Rig, where: Plane, rng: np.random
 def test_the_covariance_after_the_update_is_right(rig: Rig, moves: Moves) -> None:
     """Rigs drawn from the calibration, in the second case moved by 0.05 mm and 0.5 mrad, of which no test may know.
 
-    Sums over 30 rigs against chi-squared, two-sided at a family-wise 0.001 over the eight sums and four tests of
+    Sums over 16 rigs against chi-squared, two-sided at a family-wise 0.001 over the eight sums and four tests of
     uniformity: of all parameters, of the four numbers, of a new image's plane, and of trend and rest.
     """
     rng = np.random.default_rng(1 + moves.none)
     new = planes(rig)[5]
     rows: list[tuple[float, float, float]] = []
     tests: list[list[float]] = []
-    for _ in range(30):
+    for _ in range(16):
         true = drawn(rig, rng)
         true = true if moves.none else moved(true, rng)
         result = recalibrate(spots(true, planes(rig), rng), rig, moves=moves)

@@ -164,7 +164,8 @@ def test_faults():
     assert back == pytest.approx(plain.observations.views[0].corners)
 
 
-def test_a_setting_without_poses_is_refused():
+def test_a_setting_without_poses_is_refused(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("planeopt.simulation.board_random._TRIES", 20)
     session = random_session(0)
     small = replace(session.board, square_mm=(1.0, 1.0), marker_mm=0.7, window_mm=(3.0, 2.0, 3.0, 3.0))
     with pytest.raises(InputError, match="no pose at"):
