@@ -4,15 +4,15 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from types import ModuleType
 
 import pytest
 
-from planeopt.executors import ordered_map, processes
-
-
-def square(x: int) -> int:
-    return x * x
+from dying import die_always, die_once, fail, square, threads_of
+from planeopt.executors import WorkerLost, ordered_map, pool, processes
 
 
 def slow_first(x: int) -> int:
@@ -113,3 +113,110 @@ def test_nonsense_is_refused_at_once():
         ordered_map(square, [1], ahead=0)
     with pytest.raises(ValueError, match="jobs"), processes(0):
         pass
+
+
+class Counted:
+    """A function that counts how often it is sent."""
+
+    sent = 0
+
+    def __call__(self, x: int) -> int:
+        return x + 1
+
+    def __reduce__(self):
+        Counted.sent += 1
+        return Counted, ()
+
+
+@pytest.fixture(scope="module")
+def pair() -> Iterator[Executor]:
+    with processes(2) as pool:
+        assert pool is not None
+        yield pool
+
+
+def test_a_worker_that_dies_costs_a_retry(pair: Executor, tmp_path: Path):
+    work = partial(die_once, marks=tmp_path, worst=5)
+    assert list(ordered_map(work, range(12), pair)) == [x * x for x in range(12)]
+    assert [path.name for path in tmp_path.iterdir()] == ["5"]
+
+
+def test_an_item_over_which_workers_die_costs_none_of_the_others(pair: Executor):
+    work = partial(die_always, worst=3)
+    assert list(ordered_map(work, range(8), pair, lost=lambda x, _: -x)) == [0, 1, 4, -3, 16, 25, 36, 49]
+    results = ordered_map(work, range(2, 5), pair)
+    assert next(results) == 4
+    with pytest.raises(WorkerLost, match="3 times"):
+        next(results)
+
+
+def test_where_every_item_kills_workers_none_is_believed_in(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(pool, "IN_A_ROW", 1)
+    monkeypatch.setattr(pool, "ATTEMPTS", 1)
+    lost: list[int] = []
+    with pytest.raises(BrokenExecutor, match="one after the other"), processes(2) as dying:
+        for _ in ordered_map(partial(die_always, worst=1), [1] * 20, dying, lost=lambda x, _: lost.append(x)):
+            pass
+    # Two workers had begun an item each before the first loss was known.
+    assert len(lost) <= 2
+
+
+def test_a_function_is_sent_to_each_worker_once(pair: Executor):
+    Counted.sent = 0
+    work = Counted()
+    assert list(ordered_map(work, range(30), pair)) == list(range(1, 31))
+    assert 1 <= Counted.sent <= 2
+
+
+def test_what_a_worker_raises_says_where(pair: Executor):
+    results = ordered_map(fail, range(9), pair)
+    assert [next(results), next(results)] == [0, 1]
+    with pytest.raises(ArithmeticError, match="two") as raised:
+        next(results)
+    assert "in fail" in raised.value.__notes__[0]
+
+
+def test_what_cannot_be_sent_is_told_at_its_turn(pair: Executor, monkeypatch: pytest.MonkeyPatch):
+    results = ordered_map(repr, [1, threading.Lock(), 3], pair)
+    assert next(results) == "1"
+    with pytest.raises(TypeError, match="lock"):
+        next(results)
+    module = ModuleType("only_here")
+    exec("def double(x): return 2 * x", module.__dict__)
+    monkeypatch.setitem(sys.modules, "only_here", module)
+    with pytest.raises(ModuleNotFoundError, match="only_here"):
+        next(ordered_map(module.double, [4], pair))
+    assert list(ordered_map(square, [4], pair)) == [16]
+
+
+def interrupted_at_work(under_way: list[Future]) -> None:
+    with processes(2) as workers:
+        assert workers is not None
+        under_way.append(workers.submit(time.sleep, 60))
+        under_way.extend(workers.submit(time.sleep, 60) for _ in range(40))
+        while not under_way[0].running():
+            time.sleep(0.001)
+        raise KeyboardInterrupt
+
+
+def test_an_exception_ends_what_is_under_way():
+    begun, under_way = time.monotonic(), list[Future]()
+    with pytest.raises(KeyboardInterrupt):
+        interrupted_at_work(under_way)
+    assert time.monotonic() - begun < 30
+    assert isinstance(under_way[0].exception(10), BrokenExecutor)
+    assert under_way[-1].cancelled()
+
+
+def test_workers_take_one_thread_each(pair: Executor):
+    assert list(ordered_map(threads_of, [0, 1], pair)) == ["1", "1"]
+
+
+def test_many_workers_are_all_kept_busy():
+    class Wide(ThreadPoolExecutor):
+        workers = 50
+
+    taken: list[int] = []
+    with Wide(1) as pool:
+        next(ordered_map(square, iter(lambda: taken.append(1) or 0, None), pool))
+    assert len(taken) == 100
