@@ -21,6 +21,7 @@ STUDIES = (
     "coverage",
     "image",
     "calibration",
+    "design",
     "many_images",
     "rig_checks",
 )
