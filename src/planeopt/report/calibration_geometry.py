@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from planeopt.board import Board
@@ -15,6 +16,8 @@ Array = NDArray[np.float64]
 
 _MICROMETRES = 1e3
 _PALE = 20.0  # µm: a bow below this does not take the full range of colours
+_LEVELS = 10  # lines of equal depth at most
+_ZERO = 1e-9
 
 
 def beam(adjustment: AdjustmentRecord) -> Picture | None:
@@ -104,9 +107,12 @@ def warp(file: CalibrationFile, adjustment: AdjustmentRecord) -> Picture | None:
     limit = max(float(np.max(np.abs(bow))), _PALE)
     with page_figure(6.6, 0.7 + 5.0 * height / width) as figure:
         axes = figure.subplots()
-        levels = np.linspace(-limit, limit, 17)
-        drawn = axes.contourf(x, y, bow, levels=levels.tolist(), cmap="RdBu_r")
-        axes.contour(x, y, bow, levels=levels[::2].tolist(), colors="0.25", linewidths=0.5)
+        # Paler is nearer, all of it pale enough to read on; the lines' labels tell a hill from a hollow.
+        levels = np.asarray(MaxNLocator(_LEVELS, symmetric=True).tick_values(-limit, limit))
+        drawn = axes.contourf(x, y, bow, levels=levels.tolist(), cmap="Blues", vmax=float(3 * levels[-1]))
+        widths = np.where(np.abs(levels) < _ZERO * limit, 1.6, 0.7)
+        lines = axes.contour(x, y, bow, levels=levels.tolist(), colors="black", linewidths=widths.tolist())
+        axes.clabel(lines, fmt=lambda value: f"{value:+g}" if abs(value) > _ZERO * limit else "0", fontsize=8)
         axes.plot(*board.corners[board.printed].T, ".", ms=3, color="black")
         if board.window_mm is not None:
             left, top, across, down = board.window_mm

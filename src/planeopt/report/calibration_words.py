@@ -178,7 +178,8 @@ CAPTIONS = {
     ),
     "warp": (
         "How the board departs from a plane, as found: two parabolas, one along x, one along y, zero at the edges' "
-        "middle. Positive: the board's middle lies farther from the camera. Good: below a twentieth of a millimetre. "
+        "middle. Positive: farther from the camera; lines of equal depth bear it, negative ones are dashed, the thick "
+        "one is zero. Good: below a twentieth of a millimetre. "
         "What is drawn was compensated; a board that is bowed in another shape is not."
     ),
     "held_out": (
