@@ -5,6 +5,7 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from planeopt.cli import main
 from planeopt.design import Pixels, Points, plane_at, planned_rig, predict
 from planeopt.rig import RigCovariance, load_rig, save_rig
+from test_readme import blocks, missing_piece
 
 BUILT = ["--offset-mm", "20", "16", "--radius-mm", "6", "--f-mm", "12", "--pitch-um", "5.5", "--image", "960", "720"]
 RIG = planned_rig(offset_mm=(20, 16), radius_mm=6, f_mm=12, pitch_um=5.5, image=(960, 720))
@@ -60,27 +62,41 @@ def test_what_cannot_be_measured_or_reached_ends_in_two(capsys: pytest.CaptureFi
 def test_an_existing_rig_with_its_covariance(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = replace(RIG, covariance=RigCovariance(("f", "radius"), np.diag([0.25, 1e-6])))
     save_rig(rig, tmp_path / "rig.toml")
-    out = tmp_path / "out"
-    arguments = ["--distance-mm", "200", "--tilt-deg", "40", "--sigma-px", "0.1", "--points", "300", "-o", str(out)]
-    assert main(["design", "--rig", str(tmp_path / "rig.toml"), *arguments]) == 0
-    assert "spot's" in capsys.readouterr().out
-    row = json.loads((out / "design.json").read_text(encoding="utf-8"))["planes"][0]
+    arguments = ["--distance-mm", "200", "--tilt-deg", "40", "--sigma-px", "0.1", "--points", "300"]
+    assert main(["design", "--rig", str(tmp_path / "rig.toml"), *arguments, "--toward-deg", "0"]) == 0
     found = predict(load_rig(tmp_path / "rig.toml"), plane_at(rig, 200.0, 40.0), Points(0.1, 300))
-    assert row["sigma_z_L_mm"] == pytest.approx(float(found.z_L_mm))
-    assert row["sigma_z_L_mm"] > row["sigma_z_L_spot_mm"]
+    both = (
+        f"{1000 * found.z_L_mm:.3g} {1000 * found.z_L_spot_mm:.3g} {found.normal_deg:.3g} {found.normal_spot_deg:.3g}"
+    )
+    assert f"200 40 0 {both}" in " ".join(capsys.readouterr().out.split())
 
 
-def test_stated_sigmas_are_a_calibration(tmp_path: Path) -> None:
+def test_stated_sigmas_are_a_calibration(capsys: pytest.CaptureFixture[str]) -> None:
     stated = ["--sigma-f-px", "0.5", "--sigma-centre-px", "0.4", "--sigma-offset-mm", "0.01"]
     stated += ["--sigma-radius-mm", "0.002", "--sigma-direction-deg", "0.01"]
-    run("--distance-mm", "200", "--tilt-deg", "40", "--toward-deg", "70", *stated, "-o", str(tmp_path / "out"))
-    row = json.loads((tmp_path / "out" / "design.json").read_text(encoding="utf-8"))["planes"][0]
+    run("--distance-mm", "200", "--tilt-deg", "40", "--toward-deg", "70", *stated)
     turn = math.radians(0.01)
     sigmas = {"f": 0.5, "cx": 0.4, "cy": 0.4, "e_x": 0.01, "e_y": 0.01, "radius": 0.002}
     sigmas |= {"direction_x": turn, "direction_y": turn}
     rig = planned_rig(offset_mm=(20, 16), radius_mm=6, f_mm=12, pitch_um=5.5, image=(960, 720), sigmas=sigmas)
     found = predict(rig, plane_at(rig, 200.0, 40.0, 70.0), Pixels(120, 2))
-    assert row["sigma_normal_deg"] == pytest.approx(float(found.normal_deg))
+    assert found.normal_rig > found.normal_spot
+    both = (
+        f"{1000 * found.z_L_mm:.3g} {1000 * found.z_L_spot_mm:.3g} {found.normal_deg:.3g} {found.normal_spot_deg:.3g}"
+    )
+    assert f"200 40 70 {both}" in " ".join(capsys.readouterr().out.split())
+
+
+def test_the_page_shows_what_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    page = (Path(__file__).parents[1] / "docs" / "design.md").read_text(encoding="utf-8")
+    console, python = (text for language, text in blocks(page) if language in ("console", "python"))
+    prompt, shown = console.split("\n", 1)
+    assert main(prompt.removeprefix("$ planeopt ").split()) == 0
+    assert missing_piece(shown, capsys.readouterr().out) is None
+    names: dict[str, Any] = {}
+    exec(compile(python, "design.md", "exec"), names)
+    assert list(names["found"].views) == ["ok", "ok"]
+    assert 1000 * names["found"].z_L_mm[1] == pytest.approx(10.4, abs=0.05)
 
 
 @pytest.mark.parametrize(

@@ -204,6 +204,20 @@ def test_an_offset_below_two_radii_is_worse_than_none() -> None:
     assert (same / none) ** 2 == pytest.approx(2.8, rel=1e-9)
 
 
+def test_radius_and_depth() -> None:
+    """By pixels, as many as r, sigma of z_L is least at r = e/2: by N points it goes with r^(1/2) there."""
+    rig = planned_rig(offset_mm=(10, 0), radius_mm=5, f_mm=10, pitch_um=5, image=(100, 100))
+    found = {each.lever: each for each in sensitivities(rig, plane_at(rig, [200.0], 0.0), POINTS)}
+    assert found["radius"].z_L[0] == pytest.approx(0.5, abs=1e-5)
+
+
+def test_a_worst_offset() -> None:
+    """sqrt(3) times a coaxial beam's at 2/sqrt(3) radii, and no worse beside it."""
+    around = [float(frontal_sigmas(2 / math.sqrt(3) * by, POINTS)[0].z_L_mm) for by in (0.99, 1.0, 1.01)]
+    assert around[1] == pytest.approx(math.sqrt(3) * float(frontal_sigmas(0.0, POINTS)[0].z_L_mm), rel=1e-9)
+    assert max(around) == around[1]
+
+
 def test_far_offsets_have_simple_laws() -> None:
     """sqrt(2) sigma z^2 / (sqrt(N) f e), and 4 sqrt(2/3) sigma z^2 / (sqrt(N) f e r); off by the order of (r/e)^2."""
     for ratio in (10.0, 100.0):
