@@ -48,11 +48,11 @@ def _depths(step: float, below: int, above: int) -> list[float]:
 
 _PAPER_ONLY = Grid([20.0], [20.0], [250.0], 1)
 FINE: dict[Mode, Grid] = {
-    "full": Grid(np.arange(0, 85, 5).tolist(), np.arange(-160, 200, 20).tolist(), _depths(0.5, 8, 8), 500),
+    "full": Grid(np.arange(0, 85, 5).tolist(), np.arange(-160, 200, 20).tolist(), _depths(0.5, 8, 8), 300),
     "quick": Grid([20.0, 65.0], [20.0], [62.5, 250.0], 1),
 }
 COARSE: dict[Mode, Grid] = {
-    "full": Grid(np.arange(5, 85, 15).tolist(), np.arange(-140, 220, 40).tolist(), _depths(1.0, 4, 4), 60),
+    "full": Grid(np.arange(5, 85, 15).tolist(), np.arange(-140, 220, 40).tolist(), _depths(1.0, 4, 4), 40),
     "quick": _PAPER_ONLY,
 }
 """For the searches that take long. Both grids hold the paper's start."""

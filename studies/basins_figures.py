@@ -70,28 +70,34 @@ _PAIRS_A_ROW = 3
 def _maps(ends: Sequence[EndRow], starts: str) -> Figure:
     shown = [row for row in ends if row.starts == starts]
     methods = list(dict.fromkeys(row.method for row in shown if row.method != OBVIOUS.method))
-    papers = from_papers_start(ends)
-    behind = sum(end == BEHIND for (_, inequality), end in papers.items() if inequality == "without")
-    free = sum(inequality == "without" for _, inequality in papers)
-    kept = sum(end == BEHIND for (_, inequality), end in papers.items() if inequality == "with")
+    obvious, free, kept = (
+        _behind(shown, method, inequality)
+        for method, inequality in ((OBVIOUS.method, "without"), (CONSTRAINED, "without"), (CONSTRAINED, "with"))
+    )
+    papers = "is" if from_papers_start(ends)[OBVIOUS.method, "without"] == BEHIND else "is not"
+    fixed = "R 10 mm and z_L 250 mm" if starts == TILTS else "R 10 mm and beta 20 deg"
     heading = (
-        f"Without the inequality of visibility {behind} of {free} searches go from the paper's start (star) to the "
-        f"plane behind,\nwith it {kept} of {free - 1}; whole maps over "
-        + ("the start's tilt and azimuth (z_L = 250 mm)" if starts == TILTS else "its depth and tilt (beta = 20 deg)")
+        f"Unless told that the lit side is seen (c > 0) Ipopt goes to the plane behind from {obvious} of these starts "
+        f"by the obvious programme\n(the paper's start, a star, {papers} among them), from {free} by Constrained; when "
+        f"told from {kept}. All starts have {fixed}"
     )
     rows = -(-(len(methods) + 1) // _PAIRS_A_ROW)
     with figure(13.5, 2.35 * rows + 1.2, heading) as made:
         grid = made.subplots(rows, 2 * _PAIRS_A_ROW, squeeze=False, sharex=True, sharey=True)
         panels = [(OBVIOUS.method, "without"), None]
         panels += [(method, inequality) for method in methods for inequality in ("without", "with")]
+        edges = []
         for axes, panel in zip(grid.flat, [*panels, *[None] * (grid.size - len(panels))], strict=True):
             if panel is None:
                 axes.set_axis_off()
                 continue
             method, inequality = panel
-            _map(axes, [r for r in shown if (r.method, r.inequality) == panel], starts)
+            edges.append(_map(axes, [r for r in shown if (r.method, r.inequality) == panel], starts))
             tail = "" if method == OBVIOUS.method else f"\n{inequality} c > 0"
             axes.set_title(f"{_title(method)}{tail}", fontsize=8.5)
+        least, most = np.min(edges, axis=0)[:2], np.max(edges, axis=0)[2:]
+        grid[0, 0].set(xlim=(least[0], most[0]), ylim=(least[1], most[1]))
+        _tick(grid[0, 0], starts)
         for axes in grid[:, 0]:
             axes.set_ylabel("start's beta, deg" if starts == TILTS else "start's alpha, deg")
         for axes in grid[-1, :]:
@@ -107,13 +113,18 @@ def _maps(ends: Sequence[EndRow], starts: str) -> Figure:
     return made
 
 
+def _behind(rows: Sequence[EndRow], method: str, inequality: str) -> str:
+    ends = [row.end for row in rows if (row.method, row.inequality) == (method, inequality)]
+    return f"{100 * sum(end == BEHIND for end in ends) / len(ends):.0f} %"
+
+
 def _title(method: str) -> str:
     return "no inequality, no bounds\n(the obvious programme) Ipopt" if method == OBVIOUS.method else method
 
 
-def _map(axes: Axes, rows: Sequence[EndRow], starts: str) -> None:
-    R, z_L, alpha, beta = paper.START
-    del R
+def _map(axes: Axes, rows: Sequence[EndRow], starts: str) -> tuple[float, float, float, float]:
+    """Draw the cells and the paper's start; return the map's least and largest x and y: least x, least y, and so on."""
+    _, z_L, alpha, beta = paper.START
     if starts == TILTS:
         x, y = ([r.start_alpha_deg for r in rows], [r.start_beta_deg for r in rows])
         mark = np.degrees([alpha, beta])
@@ -130,12 +141,17 @@ def _map(axes: Axes, rows: Sequence[EndRow], starts: str) -> None:
         if cells:
             axes.add_collection(PatchCollection(cells, **_patch(end)))
     axes.plot(*mark, marker="*", ms=12, mfc="white", mec="black", mew=1.2, ls="none")
-    axes.set(xlim=(min(x) - width / 2, max(x) + width / 2), ylim=(min(y) - height / 2, max(y) + height / 2))
+    return min(x) - width / 2, min(y) - height / 2, max(x) + width / 2, max(y) + height / 2
+
+
+def _tick(axes: Axes, starts: str) -> None:
+    """Put ticks at round values inside the limits."""
     if starts == TILTS:
-        axes.set_yticks([b for b in (-90, 0, 90, 180) if axes.get_ylim()[0] <= b <= axes.get_ylim()[1]])
-    else:
-        decades = [d for d in (20, 50, 100, 250, 1000, 4000) if axes.get_xlim()[0] <= np.log10(d) <= axes.get_xlim()[1]]
-        axes.set_xticks(np.log10(decades), [str(d) for d in decades])
+        axes.set_yticks([beta for beta in (-90, 0, 90, 180) if axes.get_ylim()[0] <= beta <= axes.get_ylim()[1]])
+        return
+    low, high = axes.get_xlim()
+    depths = [depth for depth in (20, 50, 250, 1000, 4000) if low <= np.log10(depth) <= high]
+    axes.set_xticks(np.log10(depths), [str(depth) for depth in depths])
 
 
 def _step(values: Sequence[float]) -> float:
@@ -148,9 +164,9 @@ def shares_figure(shares: Sequence[ShareRow], of_rigs: Sequence[ShareRow]) -> Fi
     """Draw the shares of ends: the worked example from random starts, and random rigs."""
     solve, cold = total(of_rigs, DEFAULT), total(of_rigs, "random_ipopt_without")
     heading = (
-        f"From the closed form and with the inequality {solve.behind} of {solve.searches} random rigs end on the plane "
-        f"behind;\nfrom random starts without it {100 * cold.behind_share:.1f} % of them do, and "
-        f"{100 * share(shares, RANDOM, CONSTRAINED, 'without').behind_share:.1f} % on the worked example"
+        f"From the closed form and with c > 0 {solve.behind} of {solve.searches} random rigs end on the plane behind; "
+        f"from random\nstarts without it {100 * cold.behind_share:.1f} % do, and "
+        f"{100 * share(shares, RANDOM, CONSTRAINED, 'without').behind_share:.1f} % of those on the worked example"
     )
     with figure(12.5, 9.5, heading) as made:
         example, rigs = made.subplots(2, 1, height_ratios=(25, 11))
@@ -158,9 +174,10 @@ def shares_figure(shares: Sequence[ShareRow], of_rigs: Sequence[ShareRow]) -> Fi
         example.set_title("The paper's worked example, random starts")
         _bars(rigs, [(_of_rig(name, total(of_rigs, name)), total(of_rigs, name)) for name in (DEFAULT, *RUNS)])
         rigs.set_title("Random rigs and planes")
+        present = {end for end in _LOOKS if any(_count(s, end) for s in (*shares, *of_rigs))}
         rigs.set_xlabel("share of the searches, %; at the right how many end behind, of how many")
         made.legend(
-            handles=[Patch(**_patch(end, linewidth=0.5), label=look.said) for end, look in _LOOKS.items()],
+            handles=[Patch(**_patch(end, linewidth=0.5), label=_LOOKS[end].said) for end in _LOOKS if end in present],
             loc="outside lower center",
             ncols=4,
             handlelength=2.2,

@@ -25,7 +25,7 @@ from studies.study import Mode
 Array = NDArray[np.float64]
 
 RIGS: dict[Mode, int] = {"full": 10_000, "quick": 8}
-SOME: dict[Mode, int] = {"full": 500, "quick": 2}
+SOME: dict[Mode, int] = {"full": 300, "quick": 2}
 """The first rigs, on which searches are run that are compared with the main ones only."""
 
 _CHUNK = 50
