@@ -21,7 +21,7 @@ from planeopt.spot.points import MIN_POINTS
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-CHUNK = 1 << 15
+CHUNK = 1 << 16
 """Points worked on at once: the arrays of one piece stay in the processor's cache."""
 
 STATUSES = tuple(Status)
