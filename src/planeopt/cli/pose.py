@@ -24,7 +24,7 @@ def pose(
     *inputs: str,
     rig: Path,
     output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
-    inputs_from: Path | None = None,
+    inputs_from: Annotated[Path | None, Parameter(allow_leading_hyphen=True)] = None,
     jobs: int = 1,
     dask: str | None = None,
     resume: Annotated[bool, Parameter(negative="")] = False,
