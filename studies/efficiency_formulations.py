@@ -25,7 +25,7 @@ from planeopt.formulations import (
 from studies.efficiency_cells import Array
 from studies.efficiency_fits import DRAWS as FIT_DRAWS
 from studies.efficiency_fits import maximum_likelihood
-from studies.efficiency_sweeps import Errors, Sample, Setting, Step, draw, errors_of, steps_of
+from studies.efficiency_sweeps import Errors, Sample, Setting, Step, draw, errors_of, held, steps_of
 from studies.study import Mode
 
 DRAWS: dict[Mode, int] = {"full": 28, "quick": 1}
@@ -176,9 +176,9 @@ def _found(name: str, sample: Sample, planes: Array, best: Array, ml: float, rea
     both = (np.isfinite(planes) & np.isfinite(best)).all(axis=1)
     over_ml = np.nan
     if both.any():
-        over_ml = errors_of(planes[both], sample).over_bound / errors_of(best[both], sample).over_bound
+        over_ml = held(errors_of(planes[both], sample).over_bound / errors_of(best[both], sample).over_bound)
     counted = " ".join(f"{reason}:{count}" for reason, count in sorted(Counter(reasons).items()))
-    return _Found(name, sample.excess, len(planes), over_ml, over_ml * ml, counted, errors_of(planes, sample))
+    return _Found(name, sample.excess, len(planes), over_ml, held(over_ml * ml), counted, errors_of(planes, sample))
 
 
 def _row(step: Step, found: _Found) -> FormulationRow:

@@ -101,7 +101,7 @@ def draw(setting: Setting, draws: int) -> Sample:
     excess = reach(setup, truth.plane[None], bound[None], exact, np.array([sigma])).excess[0]
     rng = np.random.default_rng(zlib.crc32(repr(setting).encode()))
     noise = rng.standard_normal((draws, setting.points, 1))
-    return Sample(truth, sigma, truth.points + sigma * noise * truth.normals, bound, float(f"{excess:.6g}"))
+    return Sample(truth, sigma, truth.points + sigma * noise * truth.normals, bound, held(excess))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,12 +151,17 @@ def errors_of(planes: Array, sample: Sample) -> Errors:
     single = np.sqrt(np.mean(error**2, axis=0) / np.diag(sample.bound))
     return Errors(
         failed=int(np.sum(~found)),
-        over_bound=rms(distance) / np.sqrt(3),
-        median_over_bound=float(np.median(distance)) / MEDIAN_DISTANCE,
-        bias_over_bound=float(np.sqrt(squared_errors(error.mean(axis=0)[None], sample.bound)[0] / 3)),
-        z_L_over_bound=float(single[0]),
-        slopes_over_bound=rms(single[1:]),
+        over_bound=held(rms(distance) / np.sqrt(3)),
+        median_over_bound=held(float(np.median(distance)) / MEDIAN_DISTANCE),
+        bias_over_bound=held(np.sqrt(squared_errors(error.mean(axis=0)[None], sample.bound)[0] / 3)),
+        z_L_over_bound=held(single[0]),
+        slopes_over_bound=held(rms(single[1:])),
     )
+
+
+def held(value: float) -> float:
+    """Return a number as tables hold it, so that what is said of it is what the table says."""
+    return float(f"{value:.6g}")
 
 
 def rms(values: Array) -> float:

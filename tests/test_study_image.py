@@ -171,9 +171,9 @@ def test_the_words_are_made_from_the_tables() -> None:
 
 
 def test_the_committed_numbers_are_those_of_this_code() -> None:
-    """An image of each case, and a cell; to a hundredth, since the last digits are the linear algebra's."""
+    """An image of some cases, and a cell; to a hundredth, since the last digits are the linear algebra's."""
     known = {(row.case, row.seed): row for row in committed().poses}
-    for case in ("plain", *HARD):
+    for case in ("plain", "speckle", "faint", "small"):
         again, before = measure_pose(Job(case, 0)), known[case, 0]
         assert (again.outcome, again.reason, again.flags) == (before.outcome, before.reason, before.flags)
         numbers = [[row.z_L_sigmas, row.p_sigmas, row.q_sigmas, row.mahalanobis] for row in (again, before)]
