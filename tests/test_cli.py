@@ -1,11 +1,9 @@
-import csv
 import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
-import cv2
 import pytest
 
 import planeopt
@@ -96,42 +94,6 @@ def test_output_folder_without_permission(tmp_path: Path, capsys: pytest.Capture
     tmp_path.chmod(0o500)
     assert main(["demo", "-o", str(tmp_path / "below")]) == 1
     assert capsys.readouterr().err.count("\n") == 1
-
-
-def test_compare_prints_every_method_and_writes_tables(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    out = tmp_path / "compared"
-    assert main(["compare", str(TARGETS[3]), *RIG, "-o", str(out)]) == 0
-    captured = capsys.readouterr()
-    assert captured.err == ""
-    for method in ("Constrained + Ipopt", "Constrained(paper) + Sqp", "Penalty + Swift", "ClosedForm", "AsPrinted"):
-        assert method in captured.out
-    assert "laser block rank 1" in captured.out
-    (entry,) = json.loads((out / "comparison.json").read_text())
-    assert entry["record"]["status"] == "ok"
-    with (out / "comparison.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["formulation"] for row in rows] == [row["formulation"] for row in entry["rows"]]
-    assert float(rows[0]["z_L_mm"]) == entry["rows"][0]["z_L_mm"]
-    assert rows[-1]["z_L_mm"] == ""
-    assert float(rows[0]["residual (15) mm^2"]) == entry["rows"][0]["residuals"]["(15) mm^2"]
-    assert abs(float(rows[0]["z_L_error_mm"])) < 0.1
-
-
-def test_compare_goes_on_after_a_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    good, bad = points_file(tmp_path), tmp_path / "none.csv"
-    assert main(["compare", str(bad), str(good), *RIG]) == 1
-    captured = capsys.readouterr()
-    assert captured.err == f"planeopt: {bad}: there is no such file of boundary points\n"
-    assert str(good) in captured.out.replace("\n", "")
-
-
-def test_compare_without_a_spot_is_status_2_and_still_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    black, out = tmp_path / "black.png", tmp_path / "out"
-    cv2.imwrite(str(black), 0 * cv2.imread(str(TARGETS[0]), cv2.IMREAD_GRAYSCALE))  # type: ignore[operator] - it is there
-    assert main(["compare", str(black), *RIG, "-o", str(out)]) == 2
-    assert "refused" in capsys.readouterr().err
-    (entry,) = json.loads((out / "comparison.json").read_text())
-    assert entry["rows"] == []
 
 
 def test_example_comes_with_everything_the_demo_needs():

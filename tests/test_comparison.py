@@ -1,23 +1,48 @@
+"""Comparisons: every pair has its row, what they share is shared, and what is said of them is so."""
+
 import json
 import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from cases import WORKED_SETUP
 from example_rig import SIGMA_PX, TARGETS, example_rig, points_file, pose_at, seen, spot_of
+from planeopt import equations as eq
 from planeopt.accuracy import Score, Truth, error_of, read_truth, truth_beside
-from planeopt.comparison import Comparison, Root, compare, compare_file, nearest_root
+from planeopt.comparison import (
+    Comparison,
+    InBound,
+    Pooled,
+    Root,
+    compare,
+    compare_file,
+    compare_files,
+    compare_problem,
+    nearest_root,
+)
+from planeopt.comparison.simulated import boundary, simulated_spot, worked_example
 from planeopt.errors import InputError
 from planeopt.estimation import solve
-from planeopt.formulations import ClosedForm, Constrained, LeastSquares
-from planeopt.methods import METHODS, Method
+from planeopt.estimation.starts import from_closed_form
+from planeopt.formulations import ClosedForm, Constrained, EitherSide, Elastic, LeastSquares, Problem
+from planeopt.formulations.bounds import FARTHEST, STEEPEST
+from planeopt.methods import EVERY, FORMULATIONS, METHODS, SOLVERS, Method, methods_named
+from planeopt.nlp import Nlp
 from planeopt.plane import Plane, SpotPose
 from planeopt.solution import Status
-from planeopt.solvers import Ipopt
+from planeopt.solvers import Found, Ipopt, Penalised, Solver, Sqp, plugin
 from planeopt.spot import Spot
+from problems import noisy
 
 TRUE_POSE = pose_at()
+SQP = (Method(Constrained(), Sqp()), Method(LeastSquares(), Sqp()), Method(ClosedForm()))
+DRAWS = 30
+PAPERS_START = (10.0, 250.0, math.radians(20), math.radians(20))
 
 
 def truth() -> Truth:
@@ -29,53 +54,52 @@ def comparison() -> Comparison:
     return compare(spot_of(TRUE_POSE), example_rig(), truth=truth())
 
 
-def test_every_method_has_its_row_in_order(comparison: Comparison):
-    assert [(row.formulation, row.solver) for row in comparison.rows] == [
-        (method.formulation.name, "none" if method.solver is None else method.solver.name) for method in METHODS
-    ]
+@pytest.fixture(scope="module")
+def many() -> Comparison:
+    """Draws of the paper's example."""
+    rig, pose = worked_example()
+    spots = [simulated_spot(rig, pose, n=60, noise_px=0.3, seed=(7, i)) for i in range(DRAWS)]
+    return compare(spots, rig, truth=Truth(pose, rig.plane_from_pose(pose)), methods=SQP)
 
 
-def test_all_searches_find_the_visible_plane_from_the_closed_form(comparison: Comparison):
-    for row in comparison.rows[:-1]:
-        assert row.root is Root.VISIBLE, row.formulation
-        assert row.solution.effort.evaluations > 0 or row.formulation == "ClosedForm"
+def rows_of(comparison: Comparison) -> dict[str, Any]:
+    return {row.method: row for row in comparison.rows}
 
 
-def test_maximum_likelihood_methods_agree_far_within_the_noise(comparison: Comparison):
-    depths = [
-        row.solution.pose.z_L
-        for row in comparison.rows
-        if row.formulation in ("Constrained", "Constrained(paper)", "Reprojection") and row.solution.pose is not None
-    ]
-    sigma = comparison.rows[0].solution.sigma
-    assert sigma is not None
-    # They are equal to first order in the noise; what is left is its square, and the solvers' tolerance.
-    assert len(depths) == 6
-    assert np.ptp(depths) < 0.01 * sigma.z_L
+# --- The table is complete --------------------------------------------------------------------------------------------
 
 
-def test_failures_stay_with_their_reason(comparison: Comparison):
-    refused = comparison.rows[-1]
-    assert refused.solution.status is Status.OVERDETERMINED
-    assert "10 equations, 4 unknowns, laser block rank 1" in refused.to_dict()["message"]
-    assert refused.root is None
-    assert refused.error is None
-    assert refused.from_closed_form is None
+def test_every_formulation_has_a_row_with_every_solver_once(comparison: Comparison):
+    assert [row.method for row in comparison.rows] == [method.name for method in EVERY]
+    direct = {"ClosedForm", "AsPrinted"}
+    pairs = {(f, s) for f in FORMULATIONS if f not in direct for s in SOLVERS} | {(f, "none") for f in direct}
+    found = [(method.formulation.name, "none" if method.solver is None else method.solver.name) for method in EVERY]
+    assert set(found) == pairs
+    assert len(found) == len(pairs)
+    assert set(METHODS) <= set(EVERY)
 
 
-def test_errors_against_the_truth_are_within_five_sigmas(comparison: Comparison):
+def test_pairs_that_suit_find_the_visible_plane_from_the_closed_form(comparison: Comparison):
+    rows = rows_of(comparison)
+    for method in METHODS[:-1]:
+        row = rows[method.name]
+        assert row.root is Root.VISIBLE, method.name
+        assert row.solution.effort.evaluations > 0 or method.solver is None
+
+
+def test_pairs_that_do_not_suit_say_why(comparison: Comparison):
     for row in comparison.rows:
-        sigma = row.solution.sigma
-        if sigma is not None:
-            assert row.error is not None
-            assert abs(row.error.depth) < 5 * sigma.z_L, row.formulation
-            assert row.error.normal < 5 * sigma.normal, row.formulation
-
-
-def test_closed_form_is_no_distance_from_itself(comparison: Comparison):
-    row = next(row for row in comparison.rows if row.formulation == "ClosedForm")
-    assert row.from_closed_form is not None
-    assert (row.from_closed_form.depth, row.from_closed_form.normal) == (0.0, 0.0)
+        if row.solution.status in (Status.UNSUITED, Status.OVERDETERMINED):
+            assert row.root is None
+            assert row.error is row.error_in_bound is row.from_closed_form is None
+            assert not row.residuals
+            assert (row.build_s, row.solve_s) == (0, 0)
+    messages = {row.method: row.solution.message for row in comparison.rows}
+    assert "10 equations, 4 unknowns, laser block rank 1" in messages["AsPrinted"]
+    assert "63 unknowns" in messages["Reprojection + Swift"]
+    assert "no equation to penalise" in messages["LeastSquares + Ipopt(penalty)"]
+    assert "6 equations for 9 unknowns" in messages["Constrained + Ipopt(penalty)"]
+    assert "10 hard equations" in messages["Penalty + Ipopt"]
 
 
 def test_rows_are_json_with_the_residual_of_each_equation(comparison: Comparison):
@@ -87,13 +111,82 @@ def test_rows_are_json_with_the_residual_of_each_equation(comparison: Comparison
     assert all(abs(value) < 1e-6 for name, value in rows[0]["residuals"].items() if name[:4] <= "(15)")
 
 
-def test_same_start_is_used_for_all_and_wild_ones_are_told_apart():
-    methods = (Method(Constrained(), Ipopt()), Method(LeastSquares(), Ipopt()))
-    near = compare(spot_of(TRUE_POSE), example_rig(), methods=methods)
-    far = compare(spot_of(TRUE_POSE), example_rig(), methods=methods, start=(10.0, 250.0, 0.35, 0.35))
-    for warm, cold in zip(near.rows, far.rows, strict=True):
-        assert cold.solution.effort.iterations > warm.solution.effort.iterations
-    assert far.rows[0].root is Root.VISIBLE
+def test_a_solver_that_breaks_down_costs_its_row():
+    @dataclass(frozen=True)
+    class Broken:
+        name: str = "Broken"
+
+        def prepare(self, nlp: Nlp) -> None:
+            pass
+
+        def solve(self, nlp: Nlp) -> Found:
+            raise RuntimeError(f"out of\norder with {nlp.model.name}")
+
+    case = compare_problem(noisy(1, n=20), [Method(Constrained(), Broken()), Method(ClosedForm())])
+    assert [row.ok for row in case.rows] == [False, True]
+    assert "RuntimeError: out of order with constrained_slopes" in case.rows[0].solution.message
+
+
+# --- What they find ---------------------------------------------------------------------------------------------------
+
+
+def test_maximum_likelihood_methods_agree_far_within_the_noise(comparison: Comparison):
+    names = ("Constrained", "Constrained(paper)", "Reprojection")
+    answers = [row for row in comparison.rows if row.formulation in names and row.ok]
+    sigma = comparison.rows[0].solution.sigma
+    assert sigma is not None
+    # They are equal to first order in the noise; what is left is its square, and the solvers' tolerance.
+    assert len(answers) >= 6
+    assert np.ptp([row.solution.pose.z_L for row in answers if row.solution.pose]) < 0.01 * sigma.z_L
+
+
+def test_a_penalty_without_objective_has_the_minimiser_of_least_squares(comparison: Comparison):
+    rows = rows_of(comparison)
+    least = rows["LeastSquares + Sqp"].error_in_bound
+    for name in ("LeastSquares + Ipopt", "LeastSquares + Swift", "Penalty + Swift", "Penalty + Ipopt(penalty)"):
+        other = rows[name].error_in_bound
+        # A simplex compares rounded sums of squares: of the minimiser it sees half the digits.
+        assert abs(other.mahalanobis - least.mahalanobis) < 1e-3, name
+
+
+def test_errors_against_the_truth_are_within_five_sigmas(comparison: Comparison):
+    for row in comparison.rows:
+        sigma = row.solution.sigma
+        if sigma is not None:
+            assert row.error is not None
+            assert abs(row.error.depth) < 5 * sigma.z_L, row.method
+            assert row.error.normal < 5 * sigma.normal, row.method
+
+
+def test_closed_form_is_no_distance_from_itself(comparison: Comparison):
+    row = rows_of(comparison)["ClosedForm"]
+    assert row.from_closed_form is not None
+    assert (row.from_closed_form.depth, row.from_closed_form.normal) == (0.0, 0.0)
+    assert row.from_closed_form_in_bound.mahalanobis == 0.0
+
+
+def test_residuals_are_those_of_the_search_s_own_unknowns():
+    """Where the beam is believed too wide, unweighted least squares puts the spot off the beam: (15) says so."""
+    problem = noisy(1, n=40)
+    problem = replace(problem, setup=problem.setup._replace(r=1.5 * problem.setup.r))
+    (row,) = compare_problem(problem, [Method(LeastSquares(), Sqp())]).rows
+    end = row.solution.end
+    assert end is not None
+    v = eq.PaperVariables(end.R, end.z_L, math.atan(math.hypot(end.p, end.q)), math.atan2(-end.p, end.q))
+    assert [r.value for r in row.residuals] == eq.ten_residuals(np, v, problem.setup, problem.B.tolist())
+    assert abs(end.R * math.cos(v.alpha) - problem.setup.r) > 1e-6
+
+
+def test_a_refused_search_says_near_which_plane_it_ended():
+    rig, pose = worked_example()
+    spot = simulated_spot(rig, pose, n=60, noise_px=0.1, seed=1)
+    second = solve(spot, rig, formulation=ClosedForm()).other_plane
+    assert second is not None
+    methods = [Method(EitherSide(Constrained()), Sqp())]
+    (row,) = compare(spot, rig, methods=methods, start=second.pose).rows
+    assert row.solution.status is Status.UNSEEN
+    assert row.root is Root.OTHER
+    assert row.error is row.from_closed_form is None
 
 
 def test_the_second_plane_is_called_the_second_plane():
@@ -109,10 +202,294 @@ def test_the_second_plane_is_called_the_second_plane():
     assert nearest_root(nowhere, rig.plane_from_pose(nowhere), direct) is Root.ELSEWHERE
 
 
+# --- The bound --------------------------------------------------------------------------------------------------------
+
+
+def test_the_bound_is_the_inverse_of_the_information_by_finite_differences():
+    """How the boundary moves across itself per unit of the plane, from nothing but the rig's own projection."""
+    rig = example_rig()
+    noise, n = 1e-3, 80
+    spot = simulated_spot(rig, TRUE_POSE, n=n, noise_px=noise, seed=3)
+    case = compare(spot, rig, truth=truth(), methods=[Method(ClosedForm())]).cases[0]
+    radius = rig.require_beam().radius
+
+    def pixels(plane: np.ndarray, count: int) -> np.ndarray:
+        z_L, p, q = plane.tolist()
+        return boundary(rig, SpotPose.from_slopes(z_L, p, q, radius), count)
+
+    at = np.array([TRUE_POSE.z_L, *TRUE_POSE.slopes])
+    steps = np.diag([1e-3, 1e-5, 1e-5])
+    moved = np.stack([(pixels(at + s, n) - pixels(at - s, n)) / (2 * s.sum()) for s in steps])
+    # Every third place of three times as many is one of these; its neighbours tell the direction along the boundary.
+    along = np.roll(pixels(at, 3 * n), -1, axis=0) - np.roll(pixels(at, 3 * n), 1, axis=0)
+    along = along[1::3] / np.linalg.norm(along[1::3], axis=1)[:, None]
+    across = np.einsum("kni,ni->kn", moved, np.stack([along[:, 1], -along[:, 0]], axis=1)) / noise
+    expected = np.linalg.inv(across @ across.T)
+    size = np.sqrt(np.diag(expected))
+    assert case.bound is not None
+    # Neighbours are 1.5 degrees off: the chord's direction is right to 3e-4, the noisy points' places to 1e-5.
+    np.testing.assert_allclose(case.bound / np.outer(size, size), expected / np.outer(size, size), atol=2e-3)
+    assert case.reachable
+
+
+def test_differences_are_measured_by_the_bound():
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(3, 3)) * np.array([[1.0], [1e-3], [1e-4]])
+    bound, difference = root @ root.T, rng.normal(size=3) * [1.0, 1e-3, 1e-4]
+    found = InBound.of(difference, bound)
+    assert found.mahalanobis**2 == pytest.approx(difference @ np.linalg.inv(bound) @ difference, rel=1e-9)
+    assert found.p == pytest.approx(difference[1] / math.sqrt(bound[1, 1]), rel=1e-12)
+
+
+def test_without_points_or_noise_there_is_no_bound():
+    problem = noisy(1, n=20)
+    conic = Problem.from_conic(problem.B, problem.B_factor @ problem.B_factor.T, problem.setup)
+    case = compare_problem(conic, SQP)
+    assert (case.bound, case.reachable) == (None, None)
+    assert all(row.from_closed_form_in_bound is None and row.ok for row in case.rows)
+    five = compare(Spot(points=seen(TRUE_POSE, 5)), example_rig(), methods=SQP).cases[0]
+    assert five.bound is None
+
+
+# --- Many problems ----------------------------------------------------------------------------------------------------
+
+
+def test_pooled_errors_of_maximum_likelihood_are_the_bound(many: Comparison):
+    constrained, least, closed = many.summary
+    assert constrained.statuses == {"ok": DRAWS, "degraded": 0, "refused": 0}
+    assert constrained.roots["visible"] == DRAWS
+    assert constrained.error is not None
+    # A mean of chi-squared with 3 degrees of freedom, over 3: four of its standard deviations, halved by the root.
+    assert constrained.error.rms == pytest.approx(1.0, abs=4 * math.sqrt(2 / 3 / DRAWS) / 2)
+    assert constrained.error.monte_carlo == pytest.approx(math.sqrt(2 / 3 / DRAWS) / 2, rel=0.6)
+    for inefficient in (least, closed):
+        assert inefficient.error is not None
+        assert inefficient.error.rms > constrained.error.rms
+    assert closed.from_closed_form is not None
+    assert closed.from_closed_form.rms == 0
+
+
+def test_a_summary_is_made_of_its_rows(many: Comparison):
+    rows = [row for row in many.rows if row.method == "Constrained + Sqp"]
+    summary = many.summary[0]
+    squares = [row.error_in_bound.mahalanobis**2 / 3 for row in rows if row.error_in_bound]
+    assert summary.error is not None
+    assert summary.error.rms == pytest.approx(math.sqrt(np.mean(squares)), rel=1e-12)
+    assert summary.evaluations == np.median([row.solution.effort.evaluations for row in rows])
+    image = [r.value for row in rows for r in row.residuals if r.equation == "(21)"]
+    assert summary.residuals["(21) mm^2"] == pytest.approx(np.sqrt(np.mean(np.square(image))), rel=1e-12)
+    assert Pooled.of([]) is None
+
+
+def test_one_bad_spot_costs_itself_and_an_executor_changes_nothing_but_times():
+    rig = example_rig()
+    spots = [spot_of(TRUE_POSE, seed=1), Spot(points=np.arange(20.0).reshape(10, 2)), spot_of(TRUE_POSE, seed=2)]
+    truths = [truth(), None, None]
+    alone = compare(spots, rig, truth=truths, methods=SQP, names=["a", "b", "c"])
+    assert [len(case.rows) for case in alone.cases] == [3, 0, 3]
+    assert alone.cases[1].message is not None
+    assert [case.truth is None for case in alone.cases] == [False, True, True]
+    assert alone.summary[0].problems == 2
+    with ThreadPoolExecutor(1) as pool:
+        there = compare(spots, rig, truth=truths, methods=SQP, names=["a", "b", "c"], executor=pool)
+    assert _timeless(there) == _timeless(alone)
+    with pytest.raises(InputError):
+        compare(spots[1], rig)
+
+
+def _timeless(comparison: Comparison) -> list[dict[str, Any]]:
+    return [{key: value for key, value in row.items() if key[-3:] != "_ms"} for row in comparison.to_dicts()]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"problems": []}, "empty"),
+        ({"methods": ()}, "empty"),
+        ({"truth": [None, None]}, "go together"),
+        ({"repeats": 0}, "at least 1"),
+        ({"rig": None}, "need the rig"),
+        ({"start": (1.0, 2.0)}, "four finite numbers"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(wrong: dict[str, Any], words: str):
+    given: dict[str, Any] = {"problems": spot_of(TRUE_POSE), "rig": example_rig(), "methods": SQP} | wrong
+    with pytest.raises(InputError, match=words):
+        compare(given.pop("problems"), given.pop("rig"), **given)
+
+
+def test_methods_by_name():
+    assert [method.name for method in methods_named(["least-squares", "penalty + sqp", "LeastSquares+Sqp"])] == [
+        "LeastSquares + Ipopt",
+        "LeastSquares + Sqp",
+        "Penalty + Sqp",
+    ]
+    with pytest.raises(InputError, match="there is no solver 'Newton'"):
+        methods_named(["LeastSquares + Newton"])
+
+
+# --- Fairness ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Spy:
+    """A solver that keeps what it is given."""
+
+    solver: Solver
+    seen: list[Nlp] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        return self.solver.name
+
+    def prepare(self, nlp: Nlp) -> None:
+        self.solver.prepare(nlp)
+
+    def solve(self, nlp: Nlp) -> Found:
+        self.seen.append(nlp)
+        return self.solver.solve(nlp)
+
+
+@pytest.mark.parametrize("start", [None, PAPERS_START])
+def test_all_searches_begin_at_one_plane_within_the_same_bounds_and_scales(start: tuple[float, ...] | None):
+    problem = noisy(1, n=20)
+    # A gross error in B_3: alone, Elastic would begin from the best plane of the other four.
+    problem = replace(problem, B=problem.B + np.array([0, 0, 0.3, 0, 0]))
+    spies = [Spy(Penalised()) for _ in FORMULATIONS]
+    methods = [Method(f, spy) for f, spy in zip(FORMULATIONS.values(), spies, strict=True)]
+    case = compare_problem(problem, methods, start=start, builds=False)
+    assert case.start is not None
+    R, z_L, r = case.start.R, case.start.plane[0], problem.setup.r
+    programmes = [nlp for spy in spies for nlp in spy.seen]
+    assert len(programmes) == len(FORMULATIONS) - 2
+    for nlp in programmes:
+        name = nlp.model.name
+        np.testing.assert_allclose(nlp.plane(nlp.start), case.start.plane, rtol=1e-12, err_msg=name)
+        if "R" not in nlp.model.variables:
+            continue
+        assert nlp.model.variables[:2] == ("R", "z_L")
+        assert nlp.start[0] == R, name
+        np.testing.assert_array_equal(nlp.x_scale[:4], [r, z_L, 1, 1], err_msg=name)
+        np.testing.assert_array_equal(nlp.lower[:2], [0, 0], err_msg=name)
+        np.testing.assert_allclose(nlp.upper[:2], [r / np.cos(STEEPEST), FARTHEST * r], err_msg=name)
+        tilt = nlp.upper[2] if "alpha" in nlp.model.variables else np.arctan(nlp.upper[2])
+        assert tilt == pytest.approx(STEEPEST, rel=1e-12), name
+
+
+@pytest.mark.parametrize(
+    "outside", [(1.01 * FARTHEST, 0.0, 0.0), (1.0, 1.01 * np.tan(STEEPEST), 0.0), (-1.0, 0.0, 0.0)]
+)
+def test_what_bounds_the_unknowns_of_others_is_a_row_of_reprojection(outside: tuple[float, float, float]):
+    problem = noisy(1, n=20)
+    start = from_closed_form(problem)
+    nlp = FORMULATIONS["Reprojection"].build(problem, start)
+    assert isinstance(nlp, Nlp)
+    z_L, p, q = outside
+    # Its pose is the start's and a triangle times the last three unknowns.
+    unit = np.asarray(nlp.model.plane_and_jacobian(nlp.start, nlp.parameters)[1])[:, -3:]
+    away = np.linalg.solve(unit, np.array([z_L * problem.setup.r, p, q]) - start.plane)
+    x = np.append(np.zeros(20), away).astype(np.float64)
+    np.testing.assert_allclose(nlp.plane(x), [z_L * problem.setup.r, p, q], rtol=1e-6, atol=1e-6)
+    assert np.min(np.asarray(nlp.model.values(x, nlp.parameters)[1])) < 0
+    inside = np.asarray(nlp.model.values(nlp.start, nlp.parameters)[1])
+    assert np.min(inside) > 0
+
+
+@pytest.mark.parametrize("name", ["Constrained", "LeastSquares", "Elastic"])
+def test_what_the_solvers_evaluate_is_the_model_s_own_function(name: str):
+    """IPOPT's objective and rows, in its scaled unknowns, and SWIFT's kernel, at one point away from the start."""
+    problem = noisy(1, n=20)
+    nlp = FORMULATIONS[name].build(problem, from_closed_form(problem))
+    assert isinstance(nlp, Nlp)
+    x = nlp.start * 1.01 + 0.01
+    f, g = (np.asarray(value).ravel() for value in nlp.model.values(x, nlp.parameters))
+    solver = plugin.compiled(nlp.model, "ipopt", (("ipopt.print_level", 0), ("ipopt.sb", "yes")))
+    known = np.concatenate([nlp.parameters, nlp.x_scale])
+    objective, rows = (np.asarray(solver.get_function(n)(x / nlp.x_scale, known)).ravel() for n in ("nlp_f", "nlp_g"))
+    np.testing.assert_allclose(objective, f, rtol=1e-12)
+    np.testing.assert_allclose(rows, g, rtol=1e-9, atol=1e-9)
+    penalised = nlp.penalised(10.0)
+    kernel, left = (np.asarray(value).ravel() for value in penalised.model.values(x, penalised.parameters))
+    equal = nlp.model.equalities
+    np.testing.assert_allclose(kernel, f + 10 * np.sum(g[equal] ** 2), rtol=1e-12)
+    np.testing.assert_allclose(left, g[~equal], rtol=1e-12)
+
+
+def test_a_method_is_built_once_for_any_number_of_problems(monkeypatch: pytest.MonkeyPatch):
+    built: list[str] = []
+    build = plugin._build  # pyright: ignore[reportPrivateUsage] - counted here
+
+    def counting(model: Any, name: str, *rest: Any) -> Any:
+        built.append(f"{model.name} {name}")
+        return build(model, name, *rest)
+
+    monkeypatch.setattr(plugin, "_build", counting)
+    # Tolerances of their own, so that no other test has built these.
+    methods = [Method(Constrained(), Sqp(tol=1.1e-8)), Method(Constrained(), Ipopt(tol=1.1e-8))]
+    problems = [noisy(seed, n=20) for seed in range(4)]
+    rows = compare(problems, methods=methods, repeats=2).rows
+    # Once to be used, and once from nothing to find out what that takes.
+    assert sorted(built) == sorted(2 * ["constrained_slopes sqpmethod", "constrained_slopes ipopt"])
+    assert len({row.build_s for row in rows if row.solver == "Sqp"}) == 1
+    assert all(row.build_s > 0 for row in rows)
+    assert len(rows) == 8
+
+
+def test_same_start_is_used_for_all_and_wild_ones_are_told_apart():
+    methods = (Method(Constrained(), Ipopt()), Method(LeastSquares(), Ipopt()))
+    near = compare(spot_of(TRUE_POSE), example_rig(), methods=methods)
+    far = compare(spot_of(TRUE_POSE), example_rig(), methods=methods, start=PAPERS_START)
+    for warm, cold in zip(near.rows, far.rows, strict=True):
+        assert cold.solution.effort.iterations > warm.solution.effort.iterations
+    assert far.rows[0].root is Root.VISIBLE
+
+
+def test_elastic_alone_still_begins_where_four_equations_agree():
+    problem = noisy(1, n=20)
+    problem = replace(problem, B=problem.B + np.array([0, 0, 0.3, 0, 0]))
+    start = from_closed_form(problem)
+    moved, held = (Elastic().build(problem, replace(start, held=held)) for held in (False, True))
+    assert np.max(np.abs(moved.plane(moved.start) - start.plane)) > 1e-3
+    np.testing.assert_allclose(held.plane(held.start), start.plane, rtol=1e-12)
+
+
+# --- Simulated points -------------------------------------------------------------------------------------------------
+
+
+def test_simulated_points_lie_on_the_image_of_the_spot():
+    rig, pose = worked_example()
+    points, _ = rig.to_laser_plane(boundary(rig, pose, 12))
+    b = np.array(eq.image_conic(np, eq.PaperVariables(pose.R, pose.z_L, pose.alpha, pose.beta), WORKED_SETUP))
+    x, y = points.T
+    terms = b[:, None] * np.stack([x * x, x * y, y * y, x, y, np.ones(12)])
+    assert np.max(np.abs(terms.sum(axis=0)) / np.abs(terms).max(axis=0)) < 1e-9
+
+
+def test_simulated_noise_is_as_it_says_and_repeats():
+    rig, pose = worked_example()
+    spot, again, other = (simulated_spot(rig, pose, n=2000, noise_px=0.3, seed=seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(spot.points, again.points)
+    assert np.any(spot.points != other.points)
+    # 4,000 numbers: their standard deviation is known to 1.1 %; four of that.
+    assert np.std(spot.points - boundary(rig, pose, 2000)) == pytest.approx(0.3, rel=0.045)
+    for n, noise_px in ((4, 0.3), (20, 0.0), (20, math.nan)):
+        with pytest.raises(InputError):
+            simulated_spot(rig, pose, n=n, noise_px=noise_px, seed=1)
+    behind = SpotPose.canonical(pose.R, 5.0, pose.alpha, pose.beta)
+    with pytest.raises(InputError, match="does not see"):
+        boundary(rig, behind, 12)
+
+
+# --- Files and the truth ----------------------------------------------------------------------------------------------
+
+
 def test_file_without_a_pose_has_a_record_and_no_comparison(tmp_path: Path):
-    missing = compare_file(str(tmp_path / "none.png"), example_rig())
-    assert missing.record.status == "error"
-    assert missing.comparison is None
+    good, missing = str(points_file(tmp_path)), str(tmp_path / "none.png")
+    absent, found = compare_files([missing, good], example_rig(), methods=SQP)
+    assert absent.record.status == "error"
+    assert absent.comparison is None
+    assert found.comparison is not None
+    assert [case.name for case in found.comparison.cases] == [good]
 
 
 def test_truth_is_found_beside_the_file_and_a_bad_one_is_an_error(tmp_path: Path):

@@ -89,6 +89,7 @@ def test_wheel_holds_the_package_its_types_and_the_example(wheel: zipfile.ZipFil
         "planeopt/simulation/scene.schema.json",
         "planeopt/report/poses.schema.json",
         "planeopt/calibration/calibration.schema.json",
+        "planeopt/comparison/comparison.schema.json",
     }
     page = {"planeopt/report/page.css", "planeopt/report/page.html.j2"}
     assert shipped == modules | example | schemas | page | {"planeopt/py.typed"}

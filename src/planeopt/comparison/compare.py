@@ -7,7 +7,8 @@ from functools import partial
 from typing import Any
 
 from planeopt.accuracy import Truth
-from planeopt.comparison.problem import Case, compare_problem
+from planeopt.batch import UNFORESEEN
+from planeopt.comparison.problem import Case, broken_down, compare_problem
 from planeopt.comparison.rows import Row
 from planeopt.comparison.summary import Summary, summarise
 from planeopt.errors import InputError
@@ -123,6 +124,8 @@ def _case(
         return compare_problem(problem, methods, name=name, truth=truth, start=start, repeats=repeats)
     except InputError as error:
         return Case(name, message=str(error))
+    except UNFORESEEN as error:
+        return Case(name, message=broken_down(error))
 
 
 def problem_of(given: Spot | Problem, rig: Rig | None) -> Problem:

@@ -8,6 +8,7 @@ from functools import partial
 from planeopt.accuracy import Truth, truth_beside
 from planeopt.batch import UNFORESEEN, measure
 from planeopt.comparison.compare import Comparison, compare
+from planeopt.comparison.problem import broken_down
 from planeopt.errors import InputError
 from planeopt.estimation.starts import StartLike
 from planeopt.executors import ordered_map
@@ -55,8 +56,7 @@ def compare_file(
     except InputError as error:
         return FileComparison(input_error(path, str(error)))
     except UNFORESEEN as error:
-        said = f"{type(error).__name__}: {' '.join(str(error).split())}"[:300]
-        return FileComparison(input_error(path, f"{path}: the computation broke down ({said})"))
+        return FileComparison(input_error(path, f"{path}: {broken_down(error)}"))
     return FileComparison(measured.record, truth, compared)
 
 

@@ -166,10 +166,13 @@ def _planes(problem: Problem, direct: Solution, truth: Truth | None, true_plane:
 
 def _row(problem: Problem, method: Method, start: Start, told: _Told, *, repeats: int, builds: bool) -> Row:
     solution, build_s, seconds = _solved(problem, method, start, repeats=repeats, builds=builds)
-    direct, closed_form = told.direct, None
-    if direct.pose is not None and direct.plane is not None:
-        closed_form = error_of(solution, Truth(direct.pose, direct.plane))
-    plane = _plane_of(problem, solution.pose)
+    direct, closed_form, error, plane = told.direct, None, None, None
+    # Only an answer has an error: what a refused search ended on is no measurement.
+    if solution.status.record != "refused":
+        plane = _plane_of(problem, solution.pose)
+        error = None if told.truth is None else error_of(solution, told.truth)
+        if direct.pose is not None and direct.plane is not None:
+            closed_form = error_of(solution, Truth(direct.pose, direct.plane))
     return Row(
         method.name,
         solution,
@@ -177,7 +180,7 @@ def _row(problem: Problem, method: Method, start: Start, told: _Told, *, repeats
         () if solution.end is None else residuals_at(problem, solution.end),
         closed_form,
         _under(plane, _plane_of(problem, direct.pose), told.bound),
-        None if told.truth is None else error_of(solution, told.truth),
+        error,
         None if told.truth is None else _under(plane, _in_equations(problem, told.truth), told.bound),
         # Of a pair that was refused before the search nothing was built.
         0.0 if solution.end is None else build_s,
@@ -209,12 +212,17 @@ def _solved(
         runs = [_timed(problem, method, start) for _ in range(repeats)]
     except UNFORESEEN as error:
         _log.debug("%s failed", method.name, exc_info=error)
-        said = f"{type(error).__name__}: {' '.join(str(error).split())}"[:300]
         solver = "none" if method.solver is None else method.solver.name
-        message = f"{Status.NOT_CONVERGED.value} The computation broke down ({said})."
+        message = f"{Status.NOT_CONVERGED.value} {broken_down(error)}"
         return Solution(Status.NOT_CONVERGED, message, method.formulation.name, solver), 0.0, 0.0
     solution = min((run for run, _ in runs), key=lambda run: run.effort.solve_s)
     return solution, build_s, min(seconds for _, seconds in runs)
+
+
+def broken_down(error: Exception) -> str:
+    """Return what to say of an error that nobody foresaw, on one line."""
+    said = f"{type(error).__name__}: {' '.join(str(error).split())}"[:300]
+    return f"The computation broke down ({said})."
 
 
 def _timed(problem: Problem, method: Method, start: Start) -> tuple[Solution, float]:

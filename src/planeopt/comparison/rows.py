@@ -118,7 +118,8 @@ class Row:
     def to_dict(self) -> dict[str, Any]:
         """Return the row as plain JSON values: mm, degrees, milliseconds; None where there is no value."""
         solution, effort = self.solution, self.solution.effort
-        pose, sigma = solution.pose, solution.sigma
+        pose = None if solution.status.record == "refused" else solution.pose
+        sigma = None if pose is None else solution.sigma
         return {
             "method": self.method,
             "formulation": self.formulation,

@@ -19,6 +19,7 @@ _AROUND = 2.9  # inches for heading, axes and legend
 _HEADING_LETTERS = 112  # a line
 _CAPTION_LETTERS = 165
 _WITHIN = 2.0  # Monte Carlo standard deviations at which an error still counts as the bound's
+_MANY = 20  # inputs, from which their scatter tells the Monte Carlo error well enough
 _DECADE = 8.0  # ratio of largest to smallest error from which the axis is logarithmic
 _WITH_PLANE = ("converged", "inconsistent", "no_noise_scale", "at_bound", "no_covariance")
 
@@ -44,11 +45,13 @@ def words(comparison: Comparison, name: str) -> Words:
     answering = [s for s in summary if s.answered == s.problems]
     errors = [(s, s.error) for s in answering if s.error is not None]
     differences = [s.from_closed_form.rms for s in summary if s.from_closed_form and s.formulation != "ClosedForm"]
-    if errors and errors[0][1].monte_carlo is not None:
+    count = min((pooled.count for _, pooled in errors), default=0)
+    if count >= _MANY:
         finding = _of_many(errors)
     elif errors:
         size = _range([pooled.rms for _, pooled in errors])
-        finding = f"errors are {size} times the bound's RMS: one draw, which tells methods apart and no more"
+        few = "one draw" if count == 1 else f"{count} draws"
+        finding = f"errors are {size} times the bound's RMS: {few}, too few to say whether methods reach it"
     elif differences:
         finding = f"answers are {_range(differences)} bound sigmas (RMS) from the closed form's"
     else:
@@ -81,12 +84,13 @@ def _of_many(errors: Sequence[tuple[Summary, Pooled]]) -> str:
         margin = _WITHIN * (pooled.monte_carlo or 0.0)
         place = "beyond" if pooled.rms > 1 + margin else "below" if pooled.rms < 1 - margin else "at"
         groups.setdefault(place, []).append((summary, pooled))
-    said = {"at": "agree with the bound within Monte Carlo error", "beyond": "are beyond it", "below": "are below it"}
+    said = {"at": "at the bound within Monte Carlo error", "beyond": "beyond it", "below": "below it"}
     parts = []
-    for place, verb in said.items():
+    for place, where in said.items():
         if place in groups:
-            names = ", ".join(dict.fromkeys(s.formulation for s, _ in groups[place]))
-            parts.append(f"{names} {verb} ({_range([pooled.rms for _, pooled in groups[place]])})")
+            names = list(dict.fromkeys(s.formulation for s, _ in groups[place]))
+            verb = "is" if len(names) == 1 else "are"
+            parts.append(f"{', '.join(names)} {verb} {where} ({_range([pooled.rms for _, pooled in groups[place]])})")
     return "; ".join(parts)
 
 
