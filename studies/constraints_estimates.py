@@ -25,8 +25,8 @@ Array = NDArray[np.float64]
 
 NOISE_MM = 0.3 * 0.005
 N_POINTS = 200
-DRAWS: dict[Mode, int] = {"full": 240, "quick": 6}
-_CHUNK = 12
+DRAWS: dict[Mode, int] = {"full": 400, "quick": 6}
+_CHUNK = 20
 _SEED = 17
 TRIPLES: tuple[Rows, ...] = tuple(itertools.combinations(range(5), 3))
 ESTIMATORS = (

@@ -26,8 +26,8 @@ _LOOKS: tuple[dict[str, Any], ...] = (
 def ranks_figure(tables: Tables, said: Mapping[str, float]) -> Figure:
     """Draw the whitened system's condition over tilts and depths, and what happens at planes through the camera."""
     heading = (
-        f"Laser block: rank {said['laser_rank_least']:.0f} at all of {said['planes']:.0f} planes; the rest degrades "
-        "with depth and tilt, and through the camera only without weights"
+        f"Laser block: rank {said['laser_rank_least']:.0f} at all of {said['planes']:.0f} planes; the rest worsens "
+        "with depth and tilt"
     )
     if said["laser_rank_least"] != said["laser_rank_most"]:
         heading = "The laser block's rank is not the same everywhere"
@@ -76,9 +76,9 @@ _ENDS: tuple[tuple[str, str, dict[str, Any]], ...] = (
 def subsets_figure(tables: Tables, said: Mapping[str, float]) -> Figure:
     """Draw for each choice of hard laser rows where searches end, and how singular the KKT matrix is."""
     heading = (
-        f"The independent form finds the plane in {said['independent_form_searches_on_the_plane_percent']:.0f} % of "
-        f"searches, several of (11)-(15) in {said['several_rows_searches_on_the_plane_percent']:.0f} %; one alone "
-        f"leaves {said['one_row_searches_off_the_beam_percent']:.0f} % off the beam"
+        f"At the plane: by R cos(alpha) = r {said['independent_form_searches_on_the_plane_percent']:.0f} %, by several "
+        f"of (11)-(15) {said['several_rows_searches_on_the_plane_percent']:.0f} %; by one alone "
+        f"{said['one_row_searches_off_the_beam_percent']:.0f} % off the beam"
     )
     rows = tables.subsets
     with figure(11.5, 1.6 + 0.22 * len(rows), heading) as made:
@@ -195,5 +195,7 @@ def _draw_culprits(named: Axes, error: Axes, rows: Sequence[CulpritRow]) -> None
         axes.grid(visible=True, axis="x")
     named.axvline(20, color="black", lw=0.8, ls=":")
     named.set(xlabel="named, % of draws (dotted: by chance, one in five)", title="the equation at fault")
-    error.set(xscale="log", xlabel="RMS error of the plane over the clean points' bound", title="the plane")
+    error.set(
+        xscale="log", xlim=(1, None), xlabel="RMS error of the plane over the clean points' bound", title="the plane"
+    )
     named.legend(loc="upper left", bbox_to_anchor=(0, -0.15), ncols=3)
