@@ -237,7 +237,8 @@ def _lit_side(planes: NDArray[np.float64], rig: Rig) -> NDArray[np.bool_]:
 
 
 def _refusal(pixels: NDArray[Any], measured: Measurement, name: str) -> Picture:
-    return picture(refusal_picture(pixels, measured.record.message, name), f"The image {name}, without a spot")
+    shown = refusal_picture(pixels, measured.record.message, name)
+    return picture(shown, f"The image {name}, without a spot", photograph=True)
 
 
 def _drawn(key: str, title: str, draw: Callable[[], Picture | None]) -> Iterator[Figure]:

@@ -57,7 +57,8 @@ def overlay(
         else:
             times = draw_hairs(hairs, spot, judged, window)
             hairs.set(ylabel="", title=f"residuals, {times:g} times as long")
-        return picture(figure, f"The measured boundary of the spot in {drawable(name)} and its residuals")
+        words = f"The measured boundary of the spot in {drawable(name)} and its residuals"
+        return picture(figure, words, photograph=True)
 
 
 def residuals(spot: Spot, fit: PoseFit) -> Picture:
