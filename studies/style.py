@@ -34,4 +34,4 @@ def figure(width: float, height: float, heading: str) -> Iterator[Figure]:
         made = Figure(figsize=(width, height), layout="constrained", dpi=130)
         made.suptitle(heading, x=0.01, ha="left", fontsize=12, fontweight="bold")
         yield made
-        made.canvas.draw()
+        made.draw_without_rendering()
