@@ -119,6 +119,21 @@ def test_a_schedule_must_be_positive_finite_and_rising(weights: tuple[float, ...
         Swift(weights=weights)
 
 
+def test_a_simplex_may_also_have_to_end_at_equal_values() -> None:
+    """With a simplex of almost any size the values decide, and what they differ by is the weight's to say."""
+    nlp = programme("printed", noisy(1))
+    nlp = replace(nlp, start=1.05 * nlp.start)
+    best = Ipopt().solve(nlp.penalised(1.0))
+    least = float(best.nlp.model.values(best.x, best.nlp.parameters)[0])
+    for weight in (1.0, 1e4):
+        found = Swift(weights=(weight,), tol=0.5, value_tol=1e-6).solve(nlp)
+        value = float(found.nlp.model.values(found.x, found.nlp.parameters)[0])
+        # Near the minimum the best vertex is no farther below the others than above the minimum, to a power of ten.
+        assert 0 <= value - weight * least < 1e-5
+    with pytest.raises(InputError, match="value_tol"):
+        Swift(value_tol=0.0)
+
+
 @pytest.mark.parametrize("reading", ["printed", "image objective"])
 def test_the_record_ends_at_the_solution_and_rises_through_the_schedule(reading: str) -> None:
     nlp = programme(reading, noisy(1))
