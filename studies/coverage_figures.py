@@ -26,8 +26,11 @@ from studies.statistics import LEVEL
 from studies.style import DARK, LIGHT, RED, figure
 
 LABELS = {"z_L": "$z_L$", "p": "$p$", "q": "$q$", "alpha": r"$\alpha$", "R": "$R$"}
-_LOOKS = {"z_L": (DARK, "-"), "p": (LIGHT, "-"), "q": (RED, "-"), "alpha": ("0.35", "--"), "R": ("black", ":")}
+_LOOKS = {"z_L": (DARK, "-"), "p": (LIGHT, "-"), "q": (RED, "-."), "alpha": ("0.35", "--"), "R": ("black", ":")}
+_MARKERS = {"z_L": "o", "p": "s", "q": "^", "alpha": "D", "R": "v"}
 _CLAIMS = np.linspace(0.02, 0.98, 49)
+_APART = 8
+"""Claims between two markers of a line."""
 
 
 def coverage_figure(groups: Mapping[str, Sequence[Checks]], coverage: Sequence[CoverageRow], tests: int) -> Figure:
@@ -70,9 +73,19 @@ def _deviations(axes: Axes, rows: Sequence[Checks], method: str, tests: int) -> 
         colour, line = _LOOKS[name]
         inside = held(rows, method, name)
         above = [100 * (inside(claim).mean() - claim) for claim in _CLAIMS]
-        axes.plot(100 * _CLAIMS, above, line, color=colour, lw=1.4, label=LABELS[name])
+        axes.plot(
+            100 * _CLAIMS,
+            above,
+            line,
+            color=colour,
+            lw=1.4,
+            marker=_MARKERS[name],
+            ms=4.5,
+            markevery=_APART,
+            label=LABELS[name],
+        )
         marks = [100 * (inside(level).mean() - level) for level in LEVELS]
-        axes.plot([100 * level for level in LEVELS], marks, "o", ms=4, color=colour)
+        axes.plot([100 * level for level in LEVELS], marks, _MARKERS[name], ms=4.5, color=colour)
     for level in LEVELS:
         axes.axvline(100 * level, color="black", lw=0.6, ls=":", zorder=0)
     axes.set_xlim(0, 100)
@@ -141,7 +154,17 @@ def _claims(axes: Axes, rows: Sequence[WrongRigRow]) -> None:
             line = "-" if group == COUNTED else "--"
             shares = [100 * inside(claim).mean() for claim in _CLAIMS]
             label = LABELS[name] if group == COUNTED else None
-            axes.plot(100 * _CLAIMS, shares, line, color=_LOOKS[name][0], lw=1.3, label=label)
+            axes.plot(
+                100 * _CLAIMS,
+                shares,
+                line,
+                color=_LOOKS[name][0],
+                lw=1.3,
+                marker=_MARKERS[name],
+                ms=4.5,
+                markevery=_APART,
+                label=label,
+            )
     axes.set(
         xlim=(0, 100),
         ylim=(0, 100),
@@ -158,7 +181,7 @@ _EXAMPLES = 30
 
 def _examples(axes: Axes, rows: Sequence[WrongRigRow]) -> None:
     shown = 0
-    for group, colour, shift in ((COUNTED, DARK, -0.17), (IGNORED, RED, 0.17)):
+    for group, colour, shift in ((COUNTED, DARK, -0.17), (IGNORED, LIGHT, 0.17)):
         members = [row for row in rows if row.rig == group and np.isfinite(row.q_low95)][:_EXAMPLES]
         shown = len(members)
         at = np.arange(shown) + 1 + shift

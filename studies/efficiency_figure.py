@@ -15,10 +15,12 @@ def efficiency_figure(rows: Sequence[CellRow], found: Sequence[VerdictRow]) -> F
     """Draw each cell's error over the bound, and its coverage, against how far it is from the criterion's limits."""
     heading = (
         f"Within the criterion the error over the bound is {found[0].pooled_over_bound:.3f}; "
-        f"all {sum(v.above for v in found)} cells above {EFFICIENT} lie beyond it"
+        f"all {sum(v.above for v in found)} cells above {EFFICIENT} by more than chance lie beyond it"
     )
     if found[0].above:
-        heading = f"{found[0].above} cells within the criterion are above {EFFICIENT} times the bound"
+        heading = (
+            f"{found[0].above} cells within the criterion are above {EFFICIENT} times the bound by more than chance"
+        )
     excess = np.array([row.excess for row in rows])
     far = np.isfinite(excess)
     edge = 3 * float(np.max(excess[far]))

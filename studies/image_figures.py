@@ -95,13 +95,19 @@ def pose_figure(rows: Sequence[PoseRow]) -> Figure:
 
 
 def _ends(axes: Axes, rows: Sequence[PoseRow]) -> None:
-    colours = {"right": DARK, "refused": FAINT, "degraded": LIGHT, "wrong": RED, "broken": "black"}
+    looks = {
+        "right": (DARK, ""),
+        "refused": (FAINT, ""),
+        "degraded": (LIGHT, "//"),
+        "wrong": (RED, "xx"),
+        "broken": ("black", ".."),
+    }
     names = list(HARD)
     left = np.zeros(len(names))
-    for outcome, colour in colours.items():
+    for outcome, (colour, hatch) in looks.items():
         of_case = [[row.outcome == outcome for row in rows if row.case == name] for name in names]
         share = np.array([100 * np.mean(found) if found else 0.0 for found in of_case])
-        axes.barh(names, share, left=left, color=colour, label=outcome, height=0.65, ec="white", lw=0.4)
+        axes.barh(names, share, left=left, color=colour, label=outcome, height=0.65, ec="white", lw=0.4, hatch=hatch)
         left += share
     axes.invert_yaxis()
     axes.axvline(98, color="black", lw=0.8, ls=":")
@@ -116,7 +122,7 @@ def _quantiles(axes: Axes, rows: Sequence[PoseRow]) -> None:
     expected = scipy.stats.norm.ppf((np.arange(len(plain)) + 0.5) / len(plain))
     for name, colour, marker in (("z_L", DARK, "o"), ("p", LIGHT, "s"), ("q", RED, "^")):
         errors = np.sort([getattr(row, f"{name}_sigmas") for row in plain])
-        label = f"{name.replace('z_L', '$z_L$')}: variance {np.mean(errors**2):.2f}"
+        label = f"${name}$: variance {np.mean(errors**2):.2f}"
         axes.plot(expected, errors, marker, ms=3, color=colour, mec="black", mew=0.2, label=label)
     reach = float(np.abs(expected).max())
     axes.plot([-reach, reach], [-reach, reach], color="black", lw=0.8, zorder=0)
