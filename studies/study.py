@@ -4,7 +4,7 @@ import csv
 import dataclasses
 import math
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +20,7 @@ Mode = Literal["quick", "full"]
 """Quick: what the tests run, seconds. Full: what is committed, minutes."""
 
 Row = TypeVar("Row")
+Instance = TypeVar("Instance", bound="DataclassInstance")
 
 _SAVED: dict[Any, Any] = {"svg.hashsalt": "planeopt", "svg.fonttype": "path"}
 
@@ -97,7 +98,7 @@ def _write_table(path: Path, rows: Sequence["DataclassInstance"]) -> None:
     with path.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(column.name for column in dataclasses.fields(rows[0]))
-        writer.writerows([cell(value) for value in _values(row)] for row in rows)
+        writer.writerows([cell(value) for _, value in _fields(row)] for row in rows)
 
 
 def put_headline(index: Path, name: str, headline: str) -> None:
@@ -125,6 +126,15 @@ def read_rows(path: Path, kind: type[Row]) -> list[Row]:
         ]
 
 
+def rounded(rows: Iterable[Instance]) -> list[Instance]:
+    """Return rows with the digits that a table holds, so that words made of them are those made of the table."""
+    return [dataclasses.replace(row, **{name: _as_told(value) for name, value in _fields(row)}) for row in rows]
+
+
+def _as_told(value: object) -> object:
+    return float(f"{value:.6g}") if isinstance(value, float) else value
+
+
 def _read(text: str, hint: object) -> object:
     if hint is float:
         return float(text) if text else math.nan
@@ -138,5 +148,5 @@ def cell(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _values(row: "DataclassInstance") -> list[object]:
-    return [getattr(row, column.name) for column in dataclasses.fields(row)]
+def _fields(row: "DataclassInstance") -> list[tuple[str, object]]:
+    return [(column.name, getattr(row, column.name)) for column in dataclasses.fields(row)]
