@@ -26,7 +26,7 @@ from studies.calibration_numbers import headline, numbers
 from studies.calibration_repeats import DrawRow, run_repeats
 from studies.calibration_sessions import SessionRow, run_sessions
 from studies.calibration_summary import finding, summarised
-from studies.study import Mode, Result
+from studies.study import Mode, Result, rounded
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,11 @@ def result_of(
     models: Sequence[ModelRow],
 ) -> Result:
     """Return the tables, figures and words of what was simulated."""
+    sessions = rounded(sessions)
+    images = rounded(images)
+    draws = rounded(draws)
+    accuracy = rounded(accuracy)
+    models = rounded(models)
     judged, summaries = judge(sessions, images, draws), summarised(models)
     said = numbers(sessions, accuracy, judged)
     return Result(

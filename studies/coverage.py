@@ -24,7 +24,7 @@ from studies.coverage_images import ImageRow, run_images
 from studies.coverage_points import SetRow, run_points
 from studies.coverage_rig import WrongRigRow, run_wrong_rig
 from studies.coverage_summary import IMAGES, POINTS, finding, groups_of, headline, judge, numbers
-from studies.study import Mode, Result
+from studies.study import Mode, Result, rounded
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,7 @@ def run(mode: Mode, executor: Executor | None = None) -> Result:
 
 def result_of(points: Sequence[SetRow], images: Sequence[ImageRow], wrong_rig: Sequence[WrongRigRow]) -> Result:
     """Judge, draw and put into words what was simulated."""
+    points, images, wrong_rig = rounded(points), rounded(images), rounded(wrong_rig)
     coverage, ranks = judge(groups_of(points, images, wrong_rig))
     main: dict[str, Sequence[Checks]] = {POINTS: points, IMAGES: images}
     tests, said = len(coverage) + len(ranks), numbers(points, images, coverage, ranks)

@@ -15,7 +15,7 @@ from studies.design_cells import DrawRow, ImageRow, SweepRow, run_draws, run_ima
 from studies.design_figures import checks_figure, offsets_figure, sweeps_figure
 from studies.design_laws import HumpRow, LawRow, OffsetRow, humps, laws, offsets
 from studies.design_summary import checks, finding, headline, numbers
-from studies.study import Mode, Result
+from studies.study import Mode, Result, rounded
 
 
 def run(mode: Mode, executor: Executor | None = None) -> Result:
@@ -32,6 +32,12 @@ def result_of(
     images: Sequence[ImageRow],
 ) -> Result:
     """Judge, draw and put into words what was predicted and checked."""
+    swept = rounded(swept)
+    powers = rounded(powers)
+    tops = rounded(tops)
+    compared = rounded(compared)
+    draws = rounded(draws)
+    images = rounded(images)
     found = checks(draws, images)
     said, top = numbers(swept, powers, tops, found), tops[0]
     of_sweeps = (

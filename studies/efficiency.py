@@ -22,7 +22,7 @@ from studies.efficiency_figure import efficiency_figure
 from studies.efficiency_fits import FitRow, run_fits
 from studies.efficiency_formulations import FormulationRow, run_formulations
 from studies.efficiency_sweep_figures import fits_figure, formulations_figure
-from studies.study import Mode, Result
+from studies.study import Mode, Result, rounded
 
 
 def run(mode: Mode, executor: Executor | None = None) -> Result:
@@ -42,6 +42,10 @@ def result_of(
     examples: Sequence[ExampleRow],
 ) -> Result:
     """Judge, draw and put into words what was measured."""
+    cells = rounded(cells)
+    fits = rounded(fits)
+    formulations = rounded(formulations)
+    examples = rounded(examples)
     found, said = grid.verdicts(cells), numbers(cells, fits, formulations)
     return Result(
         tables={

@@ -22,7 +22,7 @@ from studies.image_poses import HARD, Job, PoseRow, run_poses
 from studies.image_summary import cases_of, finding, headline, honesty_of, numbers
 from studies.image_sweep_figure import sweep_figure
 from studies.image_sweeps import SweepRow, run_sweeps
-from studies.study import Mode, Result
+from studies.study import Mode, Result, rounded
 
 _IMAGES = {"full": (400, 200, 60), "quick": (8, 1, 1)}
 """Plain ones, of each hard case, and with each fault."""
@@ -41,6 +41,10 @@ def result_of(
     cells: Sequence[CellRow], sweeps: Sequence[SweepRow], poses: Sequence[PoseRow], flags: Sequence[FlagRow]
 ) -> Result:
     """Judge, draw and put into words what was measured."""
+    cells = rounded(cells)
+    sweeps = rounded(sweeps)
+    poses = rounded(poses)
+    flags = rounded(flags)
     cases, honesty = cases_of(poses), honesty_of(poses)
     said = numbers(cells, cases, honesty, sweeps)
     clear = max(row.points_over_bound for row in sweeps if row.axis != "speckle")

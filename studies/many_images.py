@@ -18,7 +18,7 @@ from planeopt.estimation.drift import LEVEL
 from studies.many_images_cells import NOISE_PX, CheckRow, CombineRow, run_checks, run_frames
 from studies.statistics import LEVEL as FAMILY
 from studies.statistics import binomial_limits
-from studies.study import Mode, Result
+from studies.study import Mode, Result, rounded
 from studies.style import DARK, FAINT, LIGHT, RED, figure
 
 
@@ -29,6 +29,7 @@ def run(mode: Mode, executor: Executor | None = None) -> Result:
 
 def result_of(frames: Sequence[CombineRow], checks: Sequence[CheckRow]) -> Result:
     """Judge, draw and put into words what was measured."""
+    frames, checks = rounded(frames), rounded(checks)
     said = _numbers(frames, checks)
     return Result(
         tables={"frames": frames, "checks": checks},

@@ -17,7 +17,7 @@ from studies.rig_checks_cells import COMPONENTS, RIGHT, CheckRow, UpdateRow, run
 from studies.rig_checks_figure import Limits, rig_checks_figure
 from studies.statistics import LEVEL as FAMILY
 from studies.statistics import binomial_limits
-from studies.study import Mode, Result
+from studies.study import Mode, Result, rounded
 
 _PARTS = ("pooled", "shift", "rest", "spots")
 
@@ -29,6 +29,7 @@ def run(mode: Mode, executor: Executor | None = None) -> Result:
 
 def result_of(checks: Sequence[CheckRow], updates: Sequence[UpdateRow]) -> Result:
     """Return the tables, the figure and the words of what was simulated."""
+    checks, updates = rounded(checks), rounded(updates)
     said, limits = numbers(checks, updates), _limits(checks, updates)
     return Result(
         tables={"checks": checks, "updates": updates},

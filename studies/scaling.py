@@ -17,7 +17,7 @@ from studies.scaling_figure import scaling_figure
 from studies.scaling_runs import GrowthRow, TimeRow, growth, run_times
 from studies.scaling_summary import finding, headline, numbers
 from studies.scaling_workers import WorkerRow, run_workers
-from studies.study import Mode, Result
+from studies.study import Mode, Result, rounded
 
 
 def run(mode: Mode, executor: Executor | None = None) -> Result:
@@ -28,6 +28,7 @@ def run(mode: Mode, executor: Executor | None = None) -> Result:
 
 def result_of(times: Sequence[TimeRow], workers: Sequence[WorkerRow]) -> Result:
     """Return the tables, the figure and the words of what was timed."""
+    times, workers = rounded(times), rounded(workers)
     grown: list[GrowthRow] = growth(times)
     said = numbers(times, grown, workers)
     return Result(
