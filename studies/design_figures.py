@@ -96,8 +96,8 @@ def _what_is_what(ax: Axes) -> None:
     ax.plot([], [], color="black", lw=1.9, label="predicted")
     ax.plot([], [], color="black", lw=0.7, ls=":", label="not wholly in the image")
     ax.plot([], [], ls="", marker="o", color="black", mfc="white", label="RMS error of draws")
-    ax.plot([], [], ls="", marker="x", color="black", label="images' own sigma (tilt 30, toward 90)")
-    ax.legend(loc="best", fontsize=8)
+    ax.plot([], [], ls="", marker="x", color="black", label="images' own sigma (tilt 30)")
+    ax.legend(loc="upper right", fontsize=7.5, handlelength=1.4)
 
 
 def offsets_figure(rows: Sequence[OffsetRow], humps: Sequence[HumpRow], heading: str) -> Figure:

@@ -160,6 +160,7 @@ def test_many_rigs_and_planes_at_once_are_one_by_one() -> None:
             alone = predict(lens_rig().with_parameters(numbers), planes[0, j], PIXELS)
             for name, value in vars(alone).items():
                 np.testing.assert_allclose(getattr(together, name)[i, j], value, rtol=1e-9, err_msg=name)
+    assert predict(rigs, np.zeros((0, 3)), PIXELS).z_L_mm.shape == (0,)
     with pytest.raises(ValueError, match="read-only"):
         together.spot[0] = 0
 
@@ -326,6 +327,7 @@ def test_a_ring_is_as_wide_and_high_as_blur_and_perspective_leave_it() -> None:
         (100.0, 80.0, 0.0, PIXELS, View.DARK),
         (5000.0, 30.0, 0.0, Pixels(120, 0.1, 4.0), View.SMALL),
         (5000.0, 30.0, 0.0, Points(0.5, 200), View.BEYOND),
+        (250.0, 30.0, 0.0, Points(1e300, 200), View.BLANK),
     ],
 )
 def test_views(distance: float, tilt: float, toward: float, quality: Points | Pixels, view: View) -> None:
@@ -333,7 +335,7 @@ def test_views(distance: float, tilt: float, toward: float, quality: Points | Pi
     assert found.views == view
     assert bool(found.ok) == (view == View.OK)
     assert bool(found.visible) == (view in (View.OK, View.BEYOND))
-    assert np.isfinite(found.z_L_mm) == (view not in (View.BEHIND, View.DARK))
+    assert np.isfinite(found.z_L_mm) == (view not in (View.BEHIND, View.DARK, View.BLANK))
 
 
 def test_a_lens_that_folds_over_is_told() -> None:
@@ -396,6 +398,7 @@ def test_a_plan_has_each_plane_once() -> None:
         (lambda: plane_at(RIG, -1.0, 0.0), "distances must be positive"),
         (lambda: plane_at(RIG, 1.0, 90.0), "below 90 degrees, not 90"),
         (lambda: plane_at(RIG, 1.0, 0.0, math.nan), "directions of tilt"),
+        (lambda: plane_at(RIG, [1.0, 2.0], [0.0, 1.0, 2.0]), "do not broadcast"),
         (lambda: predict(RIG, [1.0, 2.0], POINTS), "must be \\(z_L, p, q\\)"),
         (lambda: predict(Rigs.of(RIG).scaled("f", [1.0, 2.0]), np.ones((3, 3)), POINTS), "do not broadcast"),
         (lambda: predict(replace(RIG, beam=None), TILTED, POINTS), "camera alone"),

@@ -76,7 +76,8 @@ def design_chart(
             for tilt, look, place in zip(tilts, LOOKS, range(len(tilts)), strict=False):
                 one = _worst(over_distance, name, np.s_[:, place])
                 _line(top, distance, scale * one[0], one[1], look, f"tilt {tilt:g}°", every=8)
-            top.set(title=f"standard deviation of {unit.split(',')[0]}, worst direction of tilt")
+            parts = "" if rig.covariance is None else ", with the calibration's part"
+            top.set(title=f"standard deviation of {unit.split(',')[0]}, worst direction of tilt{parts}")
             top.set(xlabel="distance along the beam, mm", ylabel=unit, yscale="log")
             for (lever, found), look in zip(over_factors.items(), LOOKS, strict=False):
                 one = _worst(found, name, np.s_[:])
@@ -120,6 +121,6 @@ def _heading(found: Prediction, distance: Array) -> str:
         return f"From {distance[0]:.4g} to {distance[-1]:.4g} mm no spot lies wholly in the image"
     worst = (1e3 * float(np.nanmax(sigma)), float(np.nanmax(normal)))
     return (
-        f"Sigma of z_L {1e3 * float(np.nanmin(sigma)):.2g} to {worst[0]:.2g} µm, of the normal "
-        f"{float(np.nanmin(normal)):.2g} to {worst[1]:.2g} degrees; {np.mean(seen):.0%} of these planes can be measured"
+        f"Sigma of z_L {1e3 * float(np.nanmin(sigma)):.3g} to {worst[0]:.3g} µm, of the normal "
+        f"{float(np.nanmin(normal)):.3g} to {worst[1]:.3g} degrees; {np.mean(seen):.0%} of these planes can be measured"
     )

@@ -49,7 +49,7 @@ class Plan:
     @property
     def hardest(self) -> int | None:
         """The plane whose z_L is known worst among those that can be measured; None where none can."""
-        sigma = np.where(self.prediction.visible, self.prediction.z_L_mm, -np.inf)
+        sigma = np.where(self.prediction.visible & np.isfinite(self.prediction.z_L_mm), self.prediction.z_L_mm, -np.inf)
         return int(np.argmax(sigma)) if np.any(self.prediction.visible) else None
 
     def rows(self) -> list[dict[str, Any]]:

@@ -43,6 +43,7 @@ class View(StrEnum):
 
     BEHIND = "part of the spot is behind the camera"
     DARK = "the camera is on the plane's dark side"
+    BLANK = "the image hardly changes with the plane, or its numbers overflow"
     FOLDED = "the spot lies where the lens's distortion folds over"
     OUT = "the spot is not wholly in the image"
     SMALL = "the spot is too small for its blur"
@@ -165,8 +166,9 @@ def plane_at(rig: Rig | Rigs, distance_mm: ArrayLike, tilt_deg: ArrayLike, towar
         If a number is impossible.
     """
     distance, tilt, toward = (np.asarray(value, dtype=float) for value in (distance_mm, tilt_deg, toward_deg))
-    if not (np.all(np.isfinite(distance)) and np.all(distance > 0)):
-        raise InputError(f"distances must be positive numbers of mm, not {_first(distance, ~(distance > 0))}")
+    possible = np.isfinite(distance) & (distance > 0)
+    if not np.all(possible):
+        raise InputError(f"distances must be positive numbers of mm, not {_first(distance, ~possible)}")
     if not np.all((tilt >= 0) & (tilt < 90)):
         raise InputError(
             f"tilts must be at least 0 and below 90 degrees, not {_first(tilt, ~((tilt >= 0) & (tilt < 90)))}"
@@ -177,7 +179,11 @@ def plane_at(rig: Rig | Rigs, distance_mm: ArrayLike, tilt_deg: ArrayLike, towar
     offset = laser_offsets(rigs.numbers.reshape(-1, len(NUMBERS))).reshape(*rigs.numbers.shape[:-1], 3)
     azimuth = np.arctan2(offset[..., 1], offset[..., 0]) + np.radians(toward)
     slope = np.tan(np.radians(tilt))
-    return np.stack(np.broadcast_arrays(distance, slope * np.cos(azimuth), slope * np.sin(azimuth)), axis=-1)
+    try:
+        return np.stack(np.broadcast_arrays(distance, slope * np.cos(azimuth), slope * np.sin(azimuth)), axis=-1)
+    except ValueError as error:
+        shapes = ", ".join(str(np.shape(value)) for value in (distance, tilt, azimuth))
+        raise InputError(f"distances, tilts and directions of shapes {shapes} do not broadcast") from error
 
 
 def predict(
@@ -212,9 +218,9 @@ def predict(
     except ValueError as error:
         raise InputError(f"rigs {rigs.numbers.shape[:-1]} and planes {wanted.shape[:-1]} do not broadcast") from error
     numbers = np.broadcast_to(rigs.numbers, (*shape, len(NUMBERS))).reshape(-1, len(NUMBERS))
-    flat = _predicted(
-        numbers, np.broadcast_to(wanted, (*shape, 3)).reshape(-1, 3), rigs, quality, angles, criterion=criterion
-    )
+    flat_planes = np.broadcast_to(wanted, (*shape, 3)).reshape(-1, 3)
+    with np.errstate(all="ignore"):  # what cannot be seen, or overflows, is told by its view
+        flat = _predicted(numbers, flat_planes, rigs, quality, angles, criterion=criterion)
     parts: dict[str, Any] = {name: value.reshape((*shape, *value.shape[1:])) for name, value in vars(flat).items()}
     for value in parts.values():
         value.setflags(write=False)
@@ -238,21 +244,26 @@ def _predicted(numbers: Array, planes: Array, rigs: Rigs, quality: Quality, n: i
     angles = _angles(offset, quality, n)
     seen = outlines(numbers, planes, angles)
     behind = ~(eq.in_front_in_slopes(np, v, setup) > 0) | np.any(~(seen.depth > 0), axis=-1) | ~(planes[:, 0] > 0)
-    gone = behind | ~lit
     length = seen.length * (2 * np.pi * quality.arc / n)
-    with np.errstate(all="ignore"):
-        total = np.where(gone, 1.0, np.sum(length, axis=-1))
-        noise = quality.at(seen.by_radius, total)
-        weight = np.where(gone[:, None], 1.0, np.sqrt(length) / noise.per_pixel)
-        spot, by_rig = _covariances(numbers, planes, angles, seen, weight, 1 / noise.size_cost, rigs, gone)
-        normal_spot, normal_rig, rig_part = _carried(numbers, planes, spot, by_rig, rigs)
-        axis = minor_axes(setup, in_laser_frame) / rigs.pitch_mm
+    total = np.sum(length, axis=-1)
+    noise = quality.at(seen.by_radius, total)
+    weight = np.sqrt(length) / noise.per_pixel
+    rows = seen.by_plane * weight[..., None]
+    lost = ~np.all(np.isfinite(rows), axis=(-1, -2)) | np.any(np.linalg.norm(rows, axis=1) < SMALLEST, axis=-1)
+    gone = behind | ~lit | lost
+    weight = np.where(gone[:, None], 1.0, weight)
+    rows = np.where(gone[:, None, None], np.eye(3)[np.arange(n) % 3], rows)
+    spot, by_rig = _covariances(numbers, planes, angles, seen, rows, weight, 1 / noise.size_cost, rigs, gone)
+    normal_spot, normal_rig, rig_part = _carried(numbers, planes, spot, by_rig, rigs)
+    harmless = np.pad(1e3 * setup.r[:, None], ((0, 0), (0, 2)))
+    axis = minor_axes(setup, np.where(gone[:, None], harmless, in_laser_frame)) / rigs.pitch_mm
     border = np.minimum(seen.pixels + 0.5, rigs.image_size - 0.5 - seen.pixels)
     margin = np.min(border, axis=(-1, -2), initial=np.inf, where=np.isfinite(border))
     excess = _excess(numbers, in_laser_frame, spot, seen, weight, noise.point_sigma, rigs, ~gone & criterion)
     tests = (
         behind,
         ~lit,
+        lost,
         ~seen.unfolded,
         ~(margin >= quality.margin_px),
         ~(axis >= quality.least_axis_px),
@@ -280,13 +291,16 @@ def _covariances(
     planes: Array,
     angles: Array,
     seen: Outlines,
+    rows: Array,
     weight: Array,
     keep: Array,
     rigs: Rigs,
     gone: Bools,
 ) -> tuple[Array, Array]:
-    """The boundary's part (M, 3, 3), and the derivative (M, 3, n) of the planes by the calibration's parameters."""
-    rows = np.where(gone[:, None, None], np.eye(3)[np.arange(angles.shape[1]) % 3], seen.by_plane * weight[..., None])
+    """The boundary's part (M, 3, 3), and the derivative (M, 3, n) of the planes by the calibration's parameters.
+
+    `rows` (M, n, 3) are the boundary's movements over their noise; `keep` (M,) what is left of their mean.
+    """
     # Height and blur of the edge are measured as well: what is lost is the boundary's mean position, in part.
     together = weight / np.linalg.norm(weight, axis=-1, keepdims=True)
     mean = np.einsum("mn,mnk->mk", together, rows)
