@@ -10,6 +10,7 @@ from planeopt import paper
 from planeopt.reproduction.results import Reproduction
 from planeopt.reproduction.searches import Search
 from studies.paper_readings import ConsequenceRow
+from studies.paper_repeats import RepeatRow
 
 _DEG = (1.0, 1.0, 180 / np.pi, 180 / np.pi)
 _UNKNOWNS = (("R", "mm"), ("z_L", "mm"), ("alpha", "deg"), ("beta", "deg"))
@@ -136,6 +137,7 @@ class Tables:
     table_2: Sequence[CoefficientRow]
     answers: Sequence[AnswerRow]
     searches: Sequence[SearchRow]
+    repeats: Sequence[RepeatRow]
     ranks: Sequence[RankRow]
     misprints: Sequence[MisprintRow]
     consequences: Sequence[ConsequenceRow]
