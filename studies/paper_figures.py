@@ -32,7 +32,7 @@ def reproduction_figure(tables: Tables, said: Mapping[str, float]) -> Figure:
 def repeats_figure(tables: Tables, said: Mapping[str, float]) -> Figure:
     """Draw where each method ends from tables that round alike."""
     heading = (
-        f"From {said['tables_that_round_alike']} tables that round alike SWIFT as printed finds the plane in "
+        f"From {said['tables_that_round_alike']} tables that round alike SWIFT with J = 0 finds the plane in "
         f"{said['swift_J_0_on_the_plane']}, IPOPT with slack in {said['constrained_on_the_plane']}"
     )
     looks: tuple[tuple[str, str, dict[str, Any]], ...] = (

@@ -45,8 +45,8 @@ def headline(said: Mapping[str, float]) -> str:
     return (
         f"From the paper's table of points and its start {said['methods_within_rounding']} of {said['methods']} "
         f"methods give the stated solution, at most {said['largest_error_over_what_rounding_allows']:.2f} of what the "
-        f"table's rounding allows away. From {said['tables_that_round_alike']} tables that round alike SWIFT as "
-        f"printed ends on the plane in {said['swift_J_0_on_the_plane']}, with the image block as its objective in "
+        f"table's rounding allows away. From {said['tables_that_round_alike']} tables that round alike SWIFT "
+        f"without an objective ends on the plane in {said['swift_J_0_on_the_plane']}, with the image block as one in "
         f"{said['swift_image_objective_on_the_plane']}, IPOPT with slack in {said['constrained_on_the_plane']}. "
         f"{said['numbers_that_decide']} numbers decide {said['misprints']} misprints: "
         f"the corrected readings are at most {said['corrected_largest_deviation_over_rounding']:.2f} of what rounding "
