@@ -10,7 +10,7 @@ from cases import WORKED, WORKED_SETUP, Array, boundary, circle, slopes
 from planeopt import equations as eq
 from planeopt.errors import InputError
 from planeopt.estimation import PointsSolution, solve_points, solve_problem
-from planeopt.estimation.points import improbability
+from planeopt.estimation.judged import improbability
 from planeopt.formulations import Problem, Reprojection
 from planeopt.solution import Status
 from planeopt.solvers import Ipopt

@@ -2,7 +2,8 @@
 
 from planeopt.estimation.batch import BatchSolution, solve_batch
 from planeopt.estimation.combine import Combined, combine
-from planeopt.estimation.points import PointsSolution, solve_points
+from planeopt.estimation.judged import PointsSolution
+from planeopt.estimation.points import solve_points
 from planeopt.estimation.solve import solve, solve_problem
 
 __all__ = [

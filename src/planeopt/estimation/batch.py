@@ -13,7 +13,7 @@ from planeopt.errors import InputError
 from planeopt.estimation import evidence
 from planeopt.estimation.batch_pieces import Solved, solve_spots
 from planeopt.estimation.efficiency import Reach, minor_axes
-from planeopt.estimation.points import STATUSES, PointsSolution, improbability
+from planeopt.estimation.judged import STATUSES, PointsSolution, improbability
 from planeopt.estimation.reservations import reservations, slope_sigmas
 from planeopt.estimation.rig_effect import RigEffect
 from planeopt.estimation.second_order import fineness, misfit_covariance

@@ -13,7 +13,8 @@ from planeopt.estimation.descent import at_planes, within_bounds
 from planeopt.estimation.efficiency import curvatures_seen
 from planeopt.estimation.feet import Boundary
 from planeopt.estimation.images import Images, conics_at
-from planeopt.estimation.points import Piece, PointsSolution, alike, blank, keep_memory, solve_piece
+from planeopt.estimation.judged import PointsSolution, blank
+from planeopt.estimation.points import Piece, alike, keep_memory, solve_piece
 from planeopt.estimation.rig_effect import RigDerivatives, RigEffect, Seen, Sight
 from planeopt.estimation.sets import Sets
 from planeopt.estimation.tangents import Cloud, complete
@@ -132,19 +133,10 @@ def _solve(
         np.ones(len(spots)),
     )
     piece = solve_piece(given)
-    found = Solved.blank(counts, *derivatives.sizes)
-    rows = np.flatnonzero(np.isfinite(piece.solution.covariance).all(axis=(1, 2)))
-    every = len(rows) == len(spots)
-    found = Solved(piece.solution, found.effect, found.curvature, piece.sigma, found.arc)
-    if len(rows):
-        with np.errstate(all="ignore"):  # a foot at a centre of curvature divides zero by zero
-            if not every:
-                piece, given, sight = piece.take(rows), given.take(rows), sight.take(rows)
-            effect, curvature = _looked_at(piece, given, sight, derivatives)
-        found.put(rows, Solved(piece.solution, effect, curvature, piece.sigma, found.arc[rows]))
-    solved = np.flatnonzero(np.isfinite(found.points.planes).all(axis=1))
-    found.arc[solved] = _arcs(found.points.planes[solved], x[solved], y[solved], counts[solved], derivatives.images)
-    return found
+    with np.errstate(all="ignore"):  # of rows that have no plane, and feet at centres of curvature
+        effect, curvature = _looked_at(piece, given, sight, derivatives)
+    arc = _arcs(piece.solution.planes, x, y, counts, derivatives.images)
+    return Solved(piece.solution, effect, curvature, piece.sigma, arc)
 
 
 def on_laser_plane(rig: Rig, u: Array, v: Array) -> tuple[Array, Array, Sight, Bools]:
@@ -204,53 +196,49 @@ def _covariances(sight: Sight, sigma: Array) -> Array:
 
 
 def _looked_at(piece: Piece, given: Sets, sight: Sight, derivatives: RigDerivatives) -> tuple[RigEffect, Array]:
-    """The rig's effect, and the curvatures (M,), at solutions that have a covariance."""
-    found, cloud, images = piece.solution, piece.cloud, derivatives.images
-    n = given.points.shape[1]
-    if cloud is None:
+    """The rig's effect, and the curvatures (M,), at solutions; NaN where these have no covariance."""
+    solution, setup, images = piece.solution, given.setup, derivatives.images
+    known: Bools = np.all(np.isfinite(solution.covariance), axis=(1, 2))
+    planes = np.where(known[:, None], solution.planes, [setup.f * setup.r, 0.0, 0.0])
+    cloud, scale = piece.cloud, np.ones(len(planes))
+    if cloud is None or piece.found is None:
+        n = given.points.shape[1]
         used = None if np.all(given.counts == n) else np.arange(n) < given.counts[:, None]
-        cloud = Cloud.of(given.points, given.noise, found.scale, used)
-        feet = np.empty((6, *cloud.x.shape))
-        scale = np.ones(len(found))
+        cloud = Cloud.of(given.points, given.noise, np.where(known, solution.scale, 1.0), used)
+        seen = Seen.of(planes, images, cloud, cloud.monomials())
     else:
-        feet, scale = piece.feet, found.scale / piece.factor
-    other = np.flatnonzero(~piece.regular)
-    if len(other):
-        _search_feet(feet, found.planes, cloud, given, other)
-    seen = Seen.of(found.planes, images, cloud, feet)
-    effect = derivatives.effect(found.planes, cloud, seen, sight, scale, piece.regular)
-    bent = curvatures_seen(
-        given.setup,
-        images,
-        found.planes,
-        found.covariance,
-        cloud.origin,
-        seen.tangents,
-        (seen.at, seen.by_plane, seen.quadratic.information),
-    )
-    known = within_bounds(found.planes, given.setup)
-    return effect, np.where(known, bent / scale, np.nan)
+        scale[known] = solution.scale[known] / piece.factor[known]
+        seen = Seen(piece.found.by_plane, piece.found.tangents, piece.found.quadratic)
+    others = np.flatnonzero(known & ~piece.regular)
+    if len(others):
+        part = cloud.take(others)
+        feet = _feet(planes[others], part, given.take(others).filled())
+        seen.put(others, Seen.of(planes[others], images, part, feet))
+    square = np.flatnonzero(known & piece.regular)
+    effect = derivatives.effect(planes, cloud.origin, seen, sight, scale, square, others)
+    harmless = np.where(known[:, None, None], solution.covariance, 1e-12 * np.eye(3))
+    bent = curvatures_seen(setup, images, planes, harmless, cloud.origin, seen.tangents, seen.by_plane, seen.quadratic)
+    return effect, np.where(known & within_bounds(planes, setup), bent / scale, np.nan)
 
 
-def _search_feet(feet: Array, planes: Array, cloud: Cloud, given: Sets, rows: Rows) -> None:
-    """Write the monomials of the feet of some rows, wherever the points are."""
-    part = given.take(rows).filled()
-    boundary = Boundary.of(part.points, part.noise)
-    found = at_planes(planes[rows], boundary, given.setup)[1]
-    n, unit = part.points.shape[1], boundary.unit[:, None]
-    made = np.zeros((6, len(rows), cloud.x.shape[1]))
-    made[3], made[4], made[5] = cloud.x[rows], cloud.y[rows], 1.0
+def _feet(planes: Array, cloud: Cloud, given: Sets) -> Array:
+    """Monomials (6, M, N) of the feet, wherever the points are; of padding, the points'."""
+    boundary = Boundary.of(given.points, given.noise)
+    found = at_planes(planes, boundary, given.setup)[1]
+    n, unit = given.points.shape[1], boundary.unit[:, None]
+    made = cloud.monomials()
     made[3, :, :n] -= found.dx * unit
     made[4, :, :n] -= found.dy * unit
     complete(made)
-    feet[:, rows] = made
+    return made
 
 
 def _arcs(planes: Array, x: Array, y: Array, counts: NDArray[np.int64], images: Images) -> Array:
     """Fractions (M,) of the planes' ellipses that the points cover; spots with as many points go together."""
     arcs = np.full(len(planes), np.nan)
-    for n in np.unique(counts):
-        rows = np.flatnonzero(counts == n)
+    solved: Bools = np.all(np.isfinite(planes), axis=1)
+    for n in np.unique(counts[solved]):
+        rows = np.flatnonzero(solved & (counts == n))
         conics = conics_at(images.coordinates(planes[rows], np.zeros((len(rows), 2)))[0])
         B = conics[:, 1:] / conics[:, :1]
         # A plane found in points that are no spot's may have an ellipse that rounding opens.

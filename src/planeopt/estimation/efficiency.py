@@ -16,6 +16,7 @@ from planeopt.conic import geometric_from_conic, is_ellipse
 from planeopt.estimation.descent import at_planes, within_bounds
 from planeopt.estimation.feet import Boundary
 from planeopt.estimation.images import SPAN, Images, conics_at
+from planeopt.estimation.regular import Quadratic
 from planeopt.estimation.reservations import slope_sigmas
 from planeopt.estimation.second_order import typical_sigma
 from planeopt.estimation.tangents import Cloud, Tangents, combinations, complete, products, tangents, value_and_gradient
@@ -161,8 +162,7 @@ def curvatures(setup: eq.Setup, planes: Array, covariance: Array, boundary: Boun
     complete(feet)
     at, by_plane = images.coordinates(planes, cloud.origin)
     seen = tangents(cloud, conics_at(at), feet)
-    information = SPAN.T @ seen.sums()[:, :, :6] @ SPAN
-    return curvatures_seen(setup, images, planes, covariance, cloud.origin, seen, (at, by_plane, information))
+    return curvatures_seen(setup, images, planes, covariance, cloud.origin, seen, by_plane, Quadratic.of(seen, at))
 
 
 def curvatures_seen(
@@ -172,20 +172,15 @@ def curvatures_seen(
     covariance: Array,
     origin: Array,
     seen: Tangents,
-    ellipses: tuple[Array, Array, Array],
+    by_plane: Array,
+    quadratic: Quadratic,
 ) -> Array:
     """`curvatures`, from the points at the planes' ellipses.
 
     A point ``y`` of the ellipse ``F = 0`` has from the ellipse of ``u + d`` the signed distance ``s + s^2 (V g)' A V g
     / h^3`` to second order, ``s = F_d(y) / |grad F_d(y)|_V``, ``g = grad F``, ``h = |g|_V``, A the quadratic part of
     F. Its even part in d is half of what is wanted.
-
-    Parameters
-    ----------
-    ellipses : (M, 5), (M, 5, 3) and (M, 5, 5)
-        Coordinates of the ellipses, their derivatives by the planes, and the points' information on them.
     """
-    at, by_plane, information = ellipses
     size = np.stack([planes[:, 0], np.ones(len(planes)), np.ones(len(planes))], axis=-1)
     values, vectors = np.linalg.eigh(covariance / (size[:, :, None] * size[:, None, :]))
     steps = np.swapaxes(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :], 1, 2)
@@ -198,7 +193,7 @@ def curvatures_seen(
     coefficients = np.concatenate([value_and_gradient(first.reshape(-1, 6)).reshape(-1, 9, 6), second], axis=1)
     rows = combinations(coefficients, seen.monomials)
     (ax, ay), weight = seen.carried, seen.weight
-    conics = conics_at(at)
+    conics = conics_at(quadratic.at)
     across = (conics[:, :1] * ax + conics[:, 1:2] * ay) * ax + conics[:, 2:3] * ay * ay
     across *= weight
     changes = np.empty((3, *weight.shape))
@@ -216,7 +211,7 @@ def curvatures_seen(
         gx += bent
         np.multiply(gx, weight, out=changes[k])
     along = np.swapaxes(by_plane, 1, 2) @ (SPAN.T @ products(seen.monomials, changes))
-    own = np.swapaxes(by_plane, 1, 2) @ information @ by_plane
+    own = np.swapaxes(by_plane, 1, 2) @ quadratic.information @ by_plane
     bent = np.sqrt(np.einsum("mik,mik->mk", along, np.linalg.solve(own, along)))
     return np.max(np.where(visible[:, :3] & visible[:, 3:], bent, np.inf), axis=-1)
 

@@ -111,8 +111,8 @@ class Found:
         About the planes' ellipses.
     by_plane : (M, 5, 3)
         Derivative of these ellipses by the planes.
-    feet : (6, M, N)
-        Monomials of the points' feet, before the last step.
+    tangents : Tangents
+        The points as they were seen before the last step.
     """
 
     planes: Array
@@ -120,7 +120,7 @@ class Found:
     rounds: NDArray[np.int64]
     quadratic: Quadratic
     by_plane: Array
-    feet: Array
+    tangents: Tangents
 
 
 def search(cloud: Cloud, setup: eq.Setup, counts: NDArray[np.int64], known: Bools) -> Found:
@@ -138,13 +138,14 @@ def search(cloud: Cloud, setup: eq.Setup, counts: NDArray[np.int64], known: Bool
     """
     images = Images.of(setup)
     with np.errstate(all="ignore"):  # what is not finite is not regular
-        at, width2 = _algebraic(cloud)
-        seen = tangents(cloud, conics_at(at), cloud.monomials())
+        monomials, trace = cloud.monomials(), cloud.trace
+        at, width2 = _algebraic(cloud, monomials, trace)
+        seen = tangents(cloud, conics_at(at), monomials)
         first = Quadratic.of(seen, at)
         planes, inside = _closed_form(first.free_minimum(), cloud.origin, setup)
         for _ in range(_INNER):
             planes += _step_on(first, planes, images, cloud.origin)[0]
-        found = _rounds(cloud, images, planes, seen.monomials, counts)
+        found = _rounds(cloud, images, planes, seen.monomials, counts, CURVED / (2 * np.max(trace, axis=1)))
         scale2 = found.quadratic.cost / np.maximum(counts - 5, 1)
         scale2 = np.where(known, np.maximum(1.0, scale2), scale2)
         good = (width2 > NARROW**2 * scale2) & (_slope_variance(found) * scale2 < SLOPE_SIGMA**2)
@@ -153,14 +154,13 @@ def search(cloud: Cloud, setup: eq.Setup, counts: NDArray[np.int64], known: Bool
     return found
 
 
-def _algebraic(cloud: Cloud) -> tuple[Array, Array]:
+def _algebraic(cloud: Cloud, monomials: Array, trace: Array) -> tuple[Array, Array]:
     """Coordinates (M, 5) of conics of least ``sum w F^2``, and the points' mean squared distances (M,) from lines.
 
     The distances are from their line of best fit, in standard deviations.
     """
-    monomials = cloud.monomials()
     weighted = np.empty_like(monomials)
-    np.divide(1.0, cloud.trace, out=weighted[5])
+    np.divide(1.0, trace, out=weighted[5])
     if cloud.used is not None:
         weighted[5] *= cloud.used
     np.multiply(monomials[:5], weighted[5], out=weighted[:5])
@@ -213,37 +213,41 @@ def _solve(matrices: Array, right: Array) -> Array:
         return np.where(poor[:, None], np.nan, np.linalg.solve(harmless, right[..., None])[..., 0])
 
 
-def _rounds(cloud: Cloud, images: Images, planes: Array, feet: Array, counts: NDArray[np.int64]) -> Found:
-    """Look at the points from the planes' ellipses until a step is short; only at those for which it is not."""
+def _rounds(
+    cloud: Cloud, images: Images, planes: Array, feet: Array, counts: NDArray[np.int64], farthest: Array
+) -> Found:
+    """Look at the points from the planes' ellipses until a step is short; only at those for which it is not.
+
+    No multiplier of a regular spot is over `farthest`, (M,).
+    """
     m = len(planes)
     done, rounds = np.zeros(m, dtype=bool), np.zeros(m, dtype=np.int64)
-    rows, part, guess = np.arange(m), cloud, feet
-    total = Quadratic(np.empty((m, 5)), np.empty(m), np.empty((m, 5)), np.empty((m, 5, 5)))
+    at, by_plane = images.coordinates(planes, cloud.origin)
+    seen = tangents(cloud, conics_at(at), feet)
+    total = here = Quadratic.of(seen, at)
+    rows, part, now = np.arange(m), cloud, seen
     for count in range(1, MAX_ROUNDS + 1):
-        at, by_plane = images.coordinates(planes[rows], part.origin)
-        seen = tangents(part, conics_at(at), guess)
-        here = Quadratic.of(seen, at)
         step, squared = _step(here, by_plane)
         planes[rows] += step
-        total.put(rows, here)
         short = squared <= STEP_TOLERANCE**2 * np.maximum(1.0, here.cost / counts[rows])
-        if part is not cloud:
-            feet[:, rows] = guess
-        if count > 1 or np.any(short):
-            done[rows] = short & _nearly_straight(part, seen)
-        rounds[rows] = count
+        multiplier = np.maximum(np.max(now.multiplier, axis=1), -np.min(now.multiplier, axis=1))
+        # No point is as far from its foot as its ellipse bends: the largest eigenvalue of 2 m V A, by traces.
+        done[rows], rounds[rows] = short & (multiplier < farthest[rows]), count
         more = np.flatnonzero(~short & np.isfinite(squared))
-        if not len(more):
+        if not len(more) or count == MAX_ROUNDS:
             break
         if len(more) < len(rows):
-            rows, part, guess = rows[more], part.take(more), guess[:, more]
+            rows, part, feet = rows[more], part.take(more), now.monomials[:, more]
+        at, by_plane = images.coordinates(planes[rows], part.origin)
+        now = tangents(part, conics_at(at), feet)
+        here = Quadratic.of(now, at)
+        if len(rows) == m:
+            total, seen = here, now
+        else:
+            total.put(rows, here)
+            seen.put(rows, now)
     at, by_plane = images.coordinates(planes, cloud.origin)
-    return Found(planes, done, rounds, total.moved(at), by_plane, feet)
-
-
-def _nearly_straight(cloud: Cloud, seen: Tangents) -> Bools:
-    """Where no point is as far from its foot as its ellipse bends: the largest eigenvalue of ``2 m V A``, by traces."""
-    return np.max(np.abs(seen.multiplier) * cloud.trace, axis=-1) < CURVED / 2
+    return Found(planes, done, rounds, total.moved(at), by_plane, seen)
 
 
 def _slope_variance(found: Found) -> Array:
@@ -270,11 +274,14 @@ def nearest_elsewhere(found: Found, rows: NDArray[np.intp], starts: Array, setup
     For spots (K,) whose answer is doubtful: the sums tell the costs of all ellipses near the points.
     """
     function, images, planes = found.quadratic.take(rows), Images.of(setup), starts
+    origin = origin[rows]
     with np.errstate(all="ignore"):
         for _ in range(_INNER_FAR):
-            step, _, _ = _step_on(function, planes, images, origin[rows])
+            step, squared, cost = _step_on(function, planes, images, origin)
+            if np.all(squared < 1e-6 * np.maximum(1.0, cost)):
+                break
             step = np.where(np.isfinite(step), step, 0.0)
             planes = planes + step * share_within(planes, step, setup)[:, None]
-        _, squared, cost = _step_on(function, planes, images, origin[rows])
+        _, squared, cost = _step_on(function, planes, images, origin)
     # A lower cost on the way down is a lower cost, settled or not.
     return ~(np.isfinite(squared) & (cost >= function.cost * (1 - 1e-6)))

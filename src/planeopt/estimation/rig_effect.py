@@ -66,11 +66,6 @@ class Sight:
     y: Array
     by_pixel: tuple[Array, Array, Array, Array]
 
-    def take(self, rows: NDArray[np.intp]) -> "Sight":
-        """Return some of the spots."""
-        a, b, c, d = (part[rows] for part in self.by_pixel)
-        return Sight(self.xd[rows], self.yd[rows], self.x[rows], self.y[rows], (a, b, c, d))
-
 
 @dataclass(frozen=True, eq=False)
 class Seen:
@@ -78,13 +73,12 @@ class Seen:
 
     Attributes
     ----------
-    at, by_plane : (M, 5), (M, 5, 3)
-        Of the planes' ellipses, as `Images.coordinates` has them.
+    by_plane : (M, 5, 3)
+        As `Images.coordinates` has it.
     tangents : Tangents
     quadratic : Quadratic
     """
 
-    at: Array
     by_plane: Array
     tangents: Tangents
     quadratic: Quadratic
@@ -94,7 +88,13 @@ class Seen:
         """At planes (M, 3), from the monomials (6, M, N) of the points' feet, which are overwritten."""
         at, by_plane = images.coordinates(planes, cloud.origin)
         tangent = tangents(cloud, conics_at(at), feet)
-        return cls(at, by_plane, tangent, Quadratic.of(tangent, at))
+        return cls(by_plane, tangent, Quadratic.of(tangent, at))
+
+    def put(self, rows: NDArray[np.intp], values: "Seen") -> None:
+        """Write those of some of the spots."""
+        self.by_plane[rows] = values.by_plane
+        self.tangents.put(rows, values.tangents)
+        self.quadratic.put(rows, values.quadratic)
 
 
 class RigDerivatives:
@@ -119,35 +119,42 @@ class RigDerivatives:
         """Numbers of free parameters, and of `SEEN`."""
         return self.free.shape[1], len(SEEN)
 
-    def effect(self, planes: Array, cloud: Cloud, seen: Seen, sight: Sight, scale: Array, square: Bools) -> RigEffect:
+    def effect(
+        self,
+        planes: Array,
+        origin: Array,
+        seen: Seen,
+        sight: Sight,
+        scale: Array,
+        square: NDArray[np.intp],
+        others: NDArray[np.intp],
+    ) -> RigEffect:
         """Differentiate M maximum-likelihood planes.
 
         Parameters
         ----------
         planes : (M, 3)
             In the equations' sense.
-        cloud : Cloud
+        origin : (M, 2)
+            Of the points' coordinates.
         seen : Seen
         sight : Sight
         scale : (M,)
-            What the noise of the cloud has to be multiplied by.
-        square : (M,) of bool
-            Where the squares of the points' information are far from rounding.
+            What the noise has to be multiplied by.
+        square, others : (K,) of int
+            Rows where the squares of the points' information are far from rounding, and where they need not be; those
+            in neither are NaN.
         """
-        by_beam = self._beam.derivatives(planes, _trace(planes, self.images), cloud.origin)
+        by_beam = self._beam.derivatives(planes, _trace(planes, self.images), origin)
         camera = camera_columns(self.rig, seen.tangents, sight) if self._camera else None
-        made = RigEffect(*(np.empty((len(planes), *shape)) for shape in self._shapes()))
-        rows = np.flatnonzero(square)
-        if len(rows):
-            _put(made, rows, self._by_sums(seen, by_beam, camera, scale, rows))
-        rows = np.flatnonzero(~square)
-        if len(rows):
-            _put(made, rows, self._by_points(seen, by_beam, camera, scale, rows))
-        return made
-
-    def _shapes(self) -> tuple[tuple[int, ...], ...]:
         n, n_seen = self.sizes
-        return (3, n), (2,), (2, n), (2, n_seen)
+        shapes = (3, n), (2,), (2, n), (2, n_seen)
+        made = RigEffect(*(np.full((len(planes), *shape), np.nan) for shape in shapes))
+        if len(square):
+            _put(made, square, self._by_sums(seen, by_beam, camera, scale, square))
+        if len(others):
+            _put(made, others, self._by_points(seen, by_beam, camera, scale, others))
+        return made
 
     def _by_sums(
         self, seen: Seen, by_beam: Array, camera: Array | None, scale: Array, rows: NDArray[np.intp]

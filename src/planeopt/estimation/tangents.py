@@ -78,13 +78,14 @@ class Cloud:
         complete(made)
         return made
 
-    def carry(self, gx: Array, gy: Array) -> tuple[Array, Array]:
-        """Return V times vectors."""
+    def carry(self, gx: Array, gy: Array, part: Array) -> tuple[Array, Array]:
+        """Return V times vectors; `part` is room to compute in."""
+        x = self.xx * gx
         if self.xy is None or self.yy is None:
-            return self.xx * gx, self.xx * gy
-        x, y = self.xx * gx, self.xy * gx
-        x += self.xy * gy
-        y += self.yy * gy
+            return x, self.xx * gy
+        x += np.multiply(self.xy, gy, out=part)
+        y = self.yy * gy
+        y += np.multiply(self.xy, gx, out=part)
         return x, y
 
 
@@ -128,6 +129,13 @@ class Tangents:
         """One over ``grad F' V grad F``, (M, N)."""
         return self.weighted[5]
 
+    def put(self, rows: NDArray[np.intp], values: "Tangents") -> None:
+        """Write those of some of the spots."""
+        self.monomials[:, rows], self.weighted[:, rows] = values.monomials, values.weighted
+        self.left[rows] = values.left
+        for ours, theirs in zip((*self.gradient, *self.carried), (*values.gradient, *values.carried), strict=True):
+            ours[rows] = theirs
+
     def sums(self) -> Array:
         """Return the sums (M, 6, 7) of squares and products of the distances' derivatives, and with the distances."""
         return products(self.monomials, self.weighted)
@@ -161,10 +169,10 @@ def tangents(cloud: Cloud, conics: Array, guess: Array) -> Tangents:
         Monomials of the feet to begin with; overwritten with those of the new ones.
     """
     left, gx, gy = combinations(value_and_gradient(conics), guess)
-    ax, ay = cloud.carry(gx, gy)
-    size = gx * ax
-    part = gy * ay
-    size += part
+    size, part = np.empty_like(gx), np.empty_like(gx)
+    ax, ay = cloud.carry(gx, gy, part)
+    np.multiply(gx, ax, out=size)
+    size += np.multiply(gy, ay, out=part)
     np.subtract(cloud.x, guess[3], out=part)
     part *= gx
     left += part
