@@ -101,7 +101,8 @@ def laws() -> list[LawRow]:
     for quantity, powers in LAWS.items():
         for lever, law in powers.items():
             together = LENGTHS if lever == "all lengths" else (lever,)
-            local = np.sum([found[name][quantity] for name in together], axis=0)
+            # Difference quotients are good to 1e-6; without a negative zero.
+            local = np.round(np.sum([found[name][quantity] for name in together], axis=0), 6) + 0.0
             made.append(LawRow(quantity, lever, law, float(np.min(local)), float(np.max(local))))
     return made
 
