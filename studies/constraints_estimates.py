@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 NOISE_MM = 0.3 * 0.005
 N_POINTS = 200
-DRAWS: dict[Mode, int] = {"full": 400, "quick": 6}
+DRAWS: dict[Mode, int] = {"full": 300, "quick": 6}
 _CHUNK = 20
 _SEED = 17
 TRIPLES: tuple[Rows, ...] = tuple(itertools.combinations(range(5), 3))

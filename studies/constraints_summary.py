@@ -184,7 +184,27 @@ def _of_subsets(rows: Sequence[SubsetRow]) -> list[str]:
             f"{row.no_minimum} |"
             for row in rows
         ),
+        "",
+        _said_of_several(rows),
     ]
+
+
+def _said_of_several(rows: Sequence[SubsetRow]) -> str:
+    several = [row for row in choices(rows) if row.count > 1 and accepted(row)]
+    refused = [row for row in choices(rows) if not accepted(row)]
+    counts = {
+        form: (
+            sum(getattr(row, f"ipopt_with_{form}") == "Solve_Succeeded" for row in several),
+            sum(getattr(row, f"right_with_{form}") == "yes" for row in several),
+        )
+        for form in ("slack", "objective")
+    }
+    return (
+        f"{len(refused)} choice is refused, by its count. Rows that repeat each other are not: of the {len(several)} "
+        f"choices of two to four rows IPOPT, begun at the closed form, reports success in {counts['slack'][0]} with "
+        f"slack and in {counts['objective'][0]} with the image block as objective, and stands at the plane in "
+        f"{counts['slack'][1]} and {counts['objective'][1]}; none of its reports says that the rows repeat each other."
+    )
 
 
 def _of_estimates(tables: Tables) -> list[str]:
