@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 import planeopt.comparison
-from example_rig import RIG_FILE, TARGETS, points_file
+from example_rig import RIG_FILE, TARGETS, example_rig, points_file
 from planeopt.accuracy import Truth
 from planeopt.cli import main
 from planeopt.comparison import Comparison, compare
@@ -21,7 +21,7 @@ from planeopt.comparison.record import comparison_schema
 from planeopt.comparison.simulated import simulated_spot, worked_example
 from planeopt.example import example_folder
 from planeopt.formulations import AsPrinted, ClosedForm, Constrained
-from planeopt.methods import EVERY, Method
+from planeopt.methods import EVERY, METHODS, Method
 from planeopt.report.comparison_figure import comparison_figure, words
 from planeopt.solvers import Sqp
 
@@ -53,17 +53,22 @@ def run(capsys: pytest.CaptureFixture[str], folder: Path, *arguments: str, statu
     return Made(folder, said.out, said.err)
 
 
-def test_an_image_gives_every_pair_in_all_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_an_image_gives_every_pair_in_all_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    # All but the slow ones, a simplex of nine unknowns.
+    every = tuple(method for method in EVERY if method.name[:11] != "Constrained" or method in METHODS)
+    monkeypatch.setattr("planeopt.methods.EVERY", every)
     made = run(capsys, tmp_path / "compared", str(TARGETS[3]), *RIG)
     assert made.err == ""
-    for formulation in dict.fromkeys(method.formulation.name for method in EVERY):
+    for formulation in dict.fromkeys(method.formulation.name for method in every):
         assert f"\n {formulation} " in made.out, formulation
     assert "laser block rank 1" in made.out
     assert max(map(len, made.out.split("\n")[:40])) <= 150
     assert sorted(path.name for path in made.folder.iterdir()) == FILES
     (entry,) = made.data["inputs"]
     assert entry["status"] == "ok"
-    assert [row["method"] for row in entry["rows"]] == [method.name for method in EVERY]
+    assert [row["method"] for row in entry["rows"]] == [method.name for method in every]
     rows = made.rows()
     assert [row["method"] for row in rows] == [row["method"] for row in entry["rows"]]
     assert float(rows[0]["z_L_mm"]) == entry["rows"][0]["z_L_mm"]
@@ -109,7 +114,7 @@ def test_simulated_spots_are_summarised_and_repeat(tmp_path: Path, capsys: pytes
 
 def test_a_scene_gives_its_own_rig_and_its_sweep_s_planes(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     scene = str(example_folder() / "scene.toml")
-    made = run(capsys, tmp_path / "a", scene, "--simulate", "2", "--method", "closed form")
+    made = run(capsys, tmp_path / "a", scene, "--simulate", "2", "--method", "closed form", "--start", "paper")
     planes = [entry["truth"] for entry in made.data["inputs"]]
     assert planes[0]["p"] != planes[1]["p"]
     for entry, row in zip(made.data["inputs"], made.rows(), strict=True):
@@ -117,21 +122,16 @@ def test_a_scene_gives_its_own_rig_and_its_sweep_s_planes(tmp_path: Path, capsys
         assert abs(float(row["z_L_mm"]) - entry["truth"]["z_L_mm"]) < 1
 
 
-def test_a_common_start_is_taken_and_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    asked = ["--simulate", "1", "--points", "20", "--method", "constrained+ipopt"]
-    for start, place in (("paper", tmp_path / "a"), ("10,250,20,20", tmp_path / "b")):
-        (entry,) = run(capsys, place, *asked, "--start", start).data["inputs"]
-        assert entry["start"] == pytest.approx({"R_mm": 10, "z_L_mm": 250, "alpha_deg": 20, "beta_deg": 20}, rel=1e-9)
-        assert entry["rows"][0]["status"] == "ok"
-
-
 def test_compare_goes_on_after_a_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     good, bad = points_file(tmp_path), tmp_path / "none.csv"
-    made = run(capsys, tmp_path / "out", str(bad), str(good), *RIG, *QUICK, status=1)
+    made = run(capsys, tmp_path / "out", str(bad), str(good), *RIG, *QUICK, "--start", "10,250,20,20", status=1)
     assert made.err == f"planeopt: {bad}: there is no such file of boundary points\n"
     assert str(good) in made.out.replace("\n", "")
     assert [len(entry["rows"]) for entry in made.data["inputs"]] == [0, 3]
     assert made.data["inputs"][0]["message"].startswith(str(bad))
+    start = {"R_mm": 10, "z_L_mm": 250, "alpha_deg": 20, "beta_deg": 20}
+    shift = example_rig().axial_shift  # of the rig's tilted beam: the equations' z_L is the spot centre's
+    assert made.data["inputs"][1]["start"] == pytest.approx(start | {"z_L_mm": 250 + shift}, rel=1e-9)
 
 
 def test_compare_without_a_spot_is_status_2_and_still_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from planeopt.posterior import Posterior, Prior, sample_posterior
     from planeopt.rig import Beam, Camera, Rig, load_rig, save_rig
     from planeopt.solution import Solution, SolveError, Status
-    from planeopt.solvers import Ipopt, Sqp, Swift
+    from planeopt.solvers import Ipopt, Penalised, Sqp, Swift
     from planeopt.spot import Spot, SpotNotFound, find_spot, read_image, read_points, write_points
 
 __version__ = "0.1.0"
@@ -47,6 +47,7 @@ __all__ = [
     "Ipopt",
     "LeastSquares",
     "Penalty",
+    "Penalised",
     "Plane",
     "Posterior",
     "Prior",
@@ -96,7 +97,7 @@ _CONTENTS = {
     "planeopt.posterior": ("Posterior", "Prior", "sample_posterior"),
     "planeopt.rig": ("Beam", "Camera", "Rig", "load_rig", "save_rig"),
     "planeopt.solution": ("Solution", "SolveError", "Status"),
-    "planeopt.solvers": ("Ipopt", "Sqp", "Swift"),
+    "planeopt.solvers": ("Ipopt", "Penalised", "Sqp", "Swift"),
     "planeopt.spot": ("Spot", "SpotNotFound", "find_spot", "read_image", "read_points", "write_points"),
 }
 _HOMES = {name: home for home, names in _CONTENTS.items() for name in names}

@@ -84,7 +84,7 @@ def _of_many(errors: Sequence[tuple[Summary, Pooled]]) -> str:
         margin = _WITHIN * (pooled.monte_carlo or 0.0)
         place = "beyond" if pooled.rms > 1 + margin else "below" if pooled.rms < 1 - margin else "at"
         groups.setdefault(place, []).append((summary, pooled))
-    said = {"at": "at the bound within Monte Carlo error", "beyond": "beyond it", "below": "below it"}
+    said = {"at": "at the bound within Monte Carlo error", "beyond": "beyond the bound", "below": "below the bound"}
     parts = []
     for place, where in said.items():
         if place in groups:
