@@ -139,6 +139,9 @@ def numbers(
         "speckle": speckled.value,
         "largest_bias_sweeps_px": _largest_bias([row for row in sweeps if row.axis != "speckle"]),
         "largest_bias_speckle_px": _largest_bias([row for row in sweeps if row.axis == "speckle"]),
+        "speckle_bias_known_to_px": max(
+            (row.bias_error_px for row in sweeps if row.axis == "speckle" and np.isfinite(row.bias_px)), default=np.nan
+        ),
         "largest_points_speckle_px": max(row.points_px for row in sweeps if row.axis == "speckle"),
         "hard_images": sum(c.images for c in hard),
         "hard_right": sum(c.right for c in hard),
@@ -155,9 +158,10 @@ def headline(n: Mapping[str, float]) -> str:
         f"(in the cells that know it to {n['known_to_px']:g} px), the noise of its points at most "
         f"{n['largest_points_over_bound']:.2f} times the Cramér-Rao bound; along blur, contrast and over-exposure the "
         f"bias is at most {n['largest_bias_sweeps_px']:.3f} px, with speckle up to {n['speckle']:g} at most "
-        f"{n['largest_bias_speckle_px']:.3f} px, where the points scatter by {n['largest_points_speckle_px']:.2f} px; "
-        f"of {n['hard_images']:.0f} hard images {n['hard_right']:.0f} give the right plane and {n['hard_wrong']:.0f} a "
-        f"wrong one; the errors' variance over their own is {n['least_variance']:.2f} to {n['largest_variance']:.2f}."
+        f"{n['largest_bias_speckle_px']:.3f} px (known to {n['speckle_bias_known_to_px']:.3f} px), where the points "
+        f"scatter by {n['largest_points_speckle_px']:.2f} px; of {n['hard_images']:.0f} hard images "
+        f"{n['hard_right']:.0f} give the right plane and {n['hard_wrong']:.0f} a wrong one; the errors' variance over "
+        f"their own is {n['least_variance']:.2f} to {n['largest_variance']:.2f}."
     )
 
 
