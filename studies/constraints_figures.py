@@ -111,7 +111,7 @@ def _draw_ends(axes: Axes, rows: Sequence[SubsetRow]) -> None:
             )
     axes.set_yticks(place, [row.rows for row in rows], fontsize=8)
     axes.invert_yaxis()
-    axes.set(xlabel="searches from random starts", title="where they end")
+    axes.set(xlabel="searches", title="where searches from random starts end")
 
 
 def estimates_figure(tables: Tables, said: Mapping[str, float]) -> Figure:
