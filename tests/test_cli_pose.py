@@ -1,10 +1,7 @@
 import json
 import os
-import signal
 import subprocess
 import sys
-import time
-from functools import partial
 from pathlib import Path
 
 import cv2
@@ -328,29 +325,6 @@ def test_remains_of_an_interrupted_run_are_not_overwritten(tmp_path: Path, capsy
     assert main(["pose", str(points_file(tmp_path)), *RIG, "-o", str(out)]) == 1
     one_complaint(capsys.readouterr().err, "--resume")
     assert part.read_bytes() == b"hours of work\n"
-
-
-def test_interrupted_run_says_so_in_a_line_and_resumes_to_the_same_bytes(tmp_path: Path):
-    # Enough work (half a second) that the signal, sent within milliseconds of the first record, finds it running.
-    points = points_file(tmp_path)
-    inputs, out, whole = [str(points)] * 150, tmp_path / "poses.jsonl", tmp_path / "whole.jsonl"
-    part, quick = tmp_path / "poses.jsonl.part", [*RIG, "--formulation", "closed-form"]
-    command = [sys.executable, "-m", "planeopt", "pose", *inputs, *quick, "-o", str(out)]
-    # A test run started in the background of a shell inherits interrupts ignored; a user's command has them.
-    listen = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, preexec_fn=listen)
-    deadline = time.monotonic() + 60
-    while not (part.exists() and part.stat().st_size) and time.monotonic() < deadline:
-        time.sleep(0.005)
-    process.send_signal(signal.SIGINT)
-    _, complaint = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert complaint == "planeopt: interrupted\n"
-    assert not out.exists()
-    assert 0 < part.read_bytes().count(b"\n") < len(inputs)
-    assert main([*command[3:], "--resume"]) == 0
-    assert main(["pose", *inputs, *quick, "-o", str(whole)]) == 0
-    assert out.read_bytes() == whole.read_bytes()
 
 
 def test_reader_that_goes_away_is_no_traceback(tmp_path: Path):

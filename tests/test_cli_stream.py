@@ -203,7 +203,7 @@ def wait_for(condition, seconds: float = 60) -> None:
         time.sleep(0.005)
 
 
-def test_two_processes_ended_twice_and_resumed_write_the_same_bytes(points: list[str], tmp_path: Path):
+def test_a_run_ended_twice_and_resumed_writes_the_same_bytes(points: list[str], tmp_path: Path):
     inputs, out, whole = points * 10, tmp_path / "poses.jsonl", tmp_path / "whole.jsonl"
     listed, part = tmp_path / "inputs.txt", tmp_path / "poses.jsonl.part"
     listed.write_text("\n".join(inputs))
@@ -211,8 +211,8 @@ def test_two_processes_ended_twice_and_resumed_write_the_same_bytes(points: list
     # A test run started in the background of a shell inherits interrupts ignored; a user's command has them.
     listen = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
     kept = [0]
-    for end_by, resume in ((signal.SIGKILL, []), (signal.SIGINT, ["--resume"])):
-        running = [*command, *resume, "--jobs", "2"]
+    for end_by, options in ((signal.SIGINT, ["--jobs", "2"]), (signal.SIGKILL, ["--resume"])):
+        running = [*command, *options]
         process = subprocess.Popen(running, stderr=subprocess.PIPE, text=True, preexec_fn=listen)
         wait_for(lambda: part.exists() and part.read_bytes().count(b"\n") > kept[-1])
         process.send_signal(end_by)

@@ -298,11 +298,10 @@ def _told(there: "DaskFuture", address: str) -> bytes | BrokenExecutor:
 
 
 def _gone(address: str, error: BaseException) -> BrokenExecutor:
-    return BrokenExecutor(f"the Dask cluster {address} is gone, or cannot do the work ({_brief(error)})")
-
-
-def _brief(error: BaseException) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"[:200]
+    if isinstance(error, asyncio.CancelledError):
+        return BrokenExecutor(f"the Dask cluster {address} is gone")
+    brief = f"{type(error).__name__}: {' '.join(str(error).split())}"[:200]
+    return BrokenExecutor(f"the Dask cluster {address} is gone, or cannot do the work ({brief})")
 
 
 def _answer_alone(function: Callable[..., Any], arguments: bytes) -> bytes:
