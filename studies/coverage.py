@@ -39,7 +39,7 @@ class _Size:
     uncertain_sampled: int
 
 
-_SIZES = {"full": _Size(40, 25, 25, 205, 200, 100), "quick": _Size(2, 50, 1, 2, 60, 1)}
+_SIZES = {"full": _Size(40, 25, 25, 205, 200, 100), "quick": _Size(2, 30, 1, 2, 60, 1)}
 
 
 def run(mode: Mode, executor: Executor | None = None) -> Result:

@@ -13,7 +13,7 @@ from studies.efficiency_cells import Array
 from studies.efficiency_sweeps import Errors, Setting, draw, errors_of
 from studies.study import Mode
 
-DRAWS: dict[Mode, int] = {"full": 1000, "quick": 3}
+DRAWS: dict[Mode, int] = {"full": 1000, "quick": 2}
 _PER_JOB = 50
 
 EXAMPLES = {

@@ -24,7 +24,7 @@ from studies.image_sweep_figure import sweep_figure
 from studies.image_sweeps import SweepRow, run_sweeps
 from studies.study import Mode, Result, rounded
 
-_IMAGES = {"full": (400, 200, 60), "quick": (8, 1, 1)}
+_IMAGES = {"full": (400, 200, 60), "quick": (6, 1, 1)}
 """Plain ones, of each hard case, and with each fault."""
 
 

@@ -114,7 +114,7 @@ def cells_of(mode: Mode) -> list[tuple[Cell, int]]:
         if (cell.radius_px, cell.blur_px, cell.contrast, cell.noise) in ends
         or (cell.over > 1 and (cell.radius_px, cell.blur_px) == (60.0, 0.7))
     ]
-    return [(cell, 3) for cell in quick]
+    return [(cell, 2) for cell in quick]
 
 
 def run_cells(cells: Sequence[tuple[Cell, int]], executor: Executor | None) -> list[CellRow]:
