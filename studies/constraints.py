@@ -10,6 +10,7 @@
 """
 
 from concurrent.futures import Executor
+from dataclasses import fields
 
 from studies.constraints_culprit import culprit_rows
 from studies.constraints_estimates import estimate_rows, triple_rows
@@ -17,31 +18,30 @@ from studies.constraints_figures import culprits_figure, estimates_figure, ranks
 from studies.constraints_ranks import edge_rows, free_rows, rank_rows
 from studies.constraints_subsets import subset_rows
 from studies.constraints_summary import Tables, finding, headline, numbers
-from studies.study import Mode, Result
+from studies.study import Mode, Result, rounded
 
 
 def run(mode: Mode, executor: Executor | None = None) -> Result:
     """Answer the four questions."""
-    tables = Tables(
-        rank_rows(mode, executor),
-        edge_rows(),
-        free_rows(),
-        subset_rows(mode, executor),
-        estimate_rows(mode, executor),
-        triple_rows(mode),
-        culprit_rows(mode, executor),
+    return result_of(
+        Tables(
+            rank_rows(mode, executor),
+            edge_rows(),
+            free_rows(),
+            subset_rows(mode, executor),
+            estimate_rows(mode, executor),
+            triple_rows(mode),
+            culprit_rows(mode, executor),
+        )
     )
+
+
+def result_of(tables: Tables) -> Result:
+    """Draw and put into words what was found."""
+    tables = Tables(*(rounded(getattr(tables, field.name)) for field in fields(Tables)))
     said = numbers(tables)
     return Result(
-        tables={
-            "ranks": tables.ranks,
-            "edge": tables.edge,
-            "free": tables.free,
-            "subsets": tables.subsets,
-            "estimates": tables.estimates,
-            "triples": tables.triples,
-            "culprits": tables.culprits,
-        },
+        tables={field.name: getattr(tables, field.name) for field in fields(Tables)},
         headline=headline(said),
         finding=finding(tables, said),
         figures={

@@ -9,41 +9,41 @@
 """
 
 from concurrent.futures import Executor
+from dataclasses import fields
 
 from planeopt.reproduction.results import compute
 from studies import paper_rows as rows
 from studies.paper_figures import misprints_figure, repeats_figure, reproduction_figure
 from studies.paper_readings import read_all
 from studies.paper_repeats import repeat
+from studies.paper_rows import Tables
 from studies.paper_summary import finding, headline, numbers
-from studies.study import Mode, Result
+from studies.study import Mode, Result, rounded
 
 
 def run(mode: Mode, executor: Executor | None = None) -> Result:
     """Answer the four questions; the modes differ in the second only."""
     found = compute()
-    tables = rows.Tables(
-        rows.table_1_rows(),
-        rows.table_2_rows(found),
-        rows.answer_rows(found),
-        rows.search_rows(found),
-        repeat(mode, executor),
-        rows.rank_rows(found),
-        rows.misprint_rows(),
-        read_all(executor),
+    return result_of(
+        Tables(
+            rows.table_1_rows(),
+            rows.table_2_rows(found),
+            rows.answer_rows(found),
+            rows.search_rows(found),
+            repeat(mode, executor),
+            rows.rank_rows(found),
+            rows.misprint_rows(),
+            read_all(executor),
+        )
     )
+
+
+def result_of(tables: Tables) -> Result:
+    """Draw and put into words what was found."""
+    tables = Tables(*(rounded(getattr(tables, field.name)) for field in fields(Tables)))
     said = numbers(tables)
     return Result(
-        tables={
-            "table_1": tables.table_1,
-            "table_2": tables.table_2,
-            "answers": tables.answers,
-            "searches": tables.searches,
-            "repeats": tables.repeats,
-            "ranks": tables.ranks,
-            "misprints": tables.misprints,
-            "consequences": tables.consequences,
-        },
+        tables={field.name: getattr(tables, field.name) for field in fields(Tables)},
         headline=headline(said),
         finding=finding(tables, said),
         figures={

@@ -11,8 +11,9 @@ All searches of a problem have the same start, bounds, sizes of unknowns and com
 """
 
 from concurrent.futures import Executor
+from dataclasses import fields
 
-from studies.study import Mode, Result
+from studies.study import Mode, Result, rounded
 from studies.swift_figures import paths_figure, schedules_figure, weights_figure, work_figure
 from studies.swift_paths import accuracies, paths, valley
 from studies.swift_runs import run_all
@@ -22,30 +23,17 @@ from studies.swift_weights import tolerances, weigh
 
 def run(mode: Mode, executor: Executor | None = None) -> Result:
     """Answer the three questions."""
-    runs = run_all(mode, executor)
-    work = accuracies(mode, executor)
-    tables = Tables(
-        runs,
-        ends_of(runs),
-        weigh(mode, executor),
-        tolerances(mode, executor),
-        work,
-        reached(work),
-        paths(),
-        valley(mode),
-    )
+    runs, work = rounded(run_all(mode, executor)), rounded(accuracies(mode, executor))
+    weights, ended = weigh(mode, executor), tolerances(mode, executor)
+    return result_of(Tables(runs, ends_of(runs), weights, ended, work, reached(work), paths(), valley(mode)))
+
+
+def result_of(tables: Tables) -> Result:
+    """Draw and put into words what was found."""
+    tables = Tables(*(rounded(getattr(tables, field.name)) for field in fields(Tables)))
     said = numbers(tables)
     return Result(
-        tables={
-            "runs": tables.runs,
-            "ends": tables.ends,
-            "weights": tables.weights,
-            "tolerances": tables.tolerances,
-            "work": tables.work,
-            "reached": tables.reached,
-            "paths": tables.paths,
-            "valley": tables.valley,
-        },
+        tables={field.name: getattr(tables, field.name) for field in fields(Tables)},
         headline=headline(said),
         finding=finding(tables, said),
         figures={

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,10 +30,30 @@ from studies.constraints_estimates import (
 from studies.constraints_forms import HardImageRows
 from studies.constraints_ranks import EdgeRow, FreeRow, RankRow, image_derivatives
 from studies.constraints_subsets import CHOICES, STARTS, SubsetRow, also_hold_at
-from studies.constraints_summary import INDEPENDENT, accepted, choices, independent_form, named_percent, singular
+from studies.constraints_summary import (
+    INDEPENDENT,
+    Tables,
+    accepted,
+    choices,
+    finding,
+    headline,
+    independent_form,
+    named_percent,
+    numbers,
+    singular,
+)
 from studies.study import Result, read_rows, write
 
 COMMITTED = RESULTS / "constraints"
+KINDS: dict[str, type[Any]] = {
+    "ranks": RankRow,
+    "edge": EdgeRow,
+    "free": FreeRow,
+    "subsets": SubsetRow,
+    "estimates": EstimateRow,
+    "triples": TripleRow,
+    "culprits": CulpritRow,
+}
 
 
 def complaints(folder: Path) -> Iterator[str]:
@@ -153,6 +174,15 @@ def _predictions_hold(estimates: list[EstimateRow], triples: list[TripleRow]) ->
             chosen = next(t for t in triples if t.scene == row.scene and ways[row.estimator] in t.chosen.split(", "))
             # One direction may hold all of the error: 1/sqrt(2 N) of it, five times.
             assert row.rms_over_bound == pytest.approx(chosen.predicted_over_bound, rel=5 / np.sqrt(2 * row.draws))
+
+
+def test_the_words_are_those_of_the_committed_tables() -> None:
+    tables = Tables(**{name: read_rows(COMMITTED / f"{name}.csv", kind) for name, kind in KINDS.items()})
+    said = numbers(tables)
+    assert (COMMITTED / "finding.md").read_text(encoding="utf-8") == finding(tables, said) + "\n"
+    index = (RESULTS.parent / "README.md").read_text(encoding="utf-8")
+    shown = index.split("<!-- constraints -->\n")[1].split("<!-- /constraints -->")[0]
+    assert " ".join(shown.split()) == headline(said)
 
 
 def test_estimates_made_again(result: Result) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,8 +29,12 @@ from studies.swift_runs import (
 from studies.swift_summary import (
     EndRow,
     ReachedRow,
+    Tables,
     ends,
     ends_of,
+    finding,
+    headline,
+    numbers,
     reached,
     slope_of_tolerance,
     slope_of_violation,
@@ -37,6 +42,16 @@ from studies.swift_summary import (
 from studies.swift_weights import DRAWS, TOLERANCE_WEIGHTS, ToleranceRow, WeightRow
 
 COMMITTED = RESULTS / "swift"
+KINDS: dict[str, type[Any]] = {
+    "runs": RunRow,
+    "ends": EndRow,
+    "weights": WeightRow,
+    "tolerances": ToleranceRow,
+    "work": WorkRow,
+    "reached": ReachedRow,
+    "paths": PathRow,
+    "valley": ValleyRow,
+}
 
 
 def complaints(folder: Path) -> Iterator[str]:
@@ -146,6 +161,15 @@ def test_the_results_as_committed() -> None:
     rising = ends(table, "paper's", "image objective", "Swift", DEFAULT)
     heavy = ends(table, "paper's", "image objective", "Swift", "1e5")
     assert rising.minimiser > heavy.minimiser + rising.searches // 4
+
+
+def test_the_words_are_those_of_the_committed_tables() -> None:
+    tables = Tables(**{name: read_rows(COMMITTED / f"{name}.csv", kind) for name, kind in KINDS.items()})
+    said = numbers(tables)
+    assert (COMMITTED / "finding.md").read_text(encoding="utf-8") == finding(tables, said) + "\n"
+    index = (RESULTS.parent / "README.md").read_text(encoding="utf-8")
+    shown = index.split("<!-- swift -->\n")[1].split("<!-- /swift -->")[0]
+    assert " ".join(shown.split()) == headline(said)
 
 
 def test_a_search_is_made_again(result: Result) -> None:
