@@ -66,14 +66,14 @@ def moved(rig: Rig, **changes: float) -> Rig:
 def test_a_rig_as_calibrated_is_called_degraded_no_more_often_than_stated(
     calibrated: Rig, later: dict[int, SimulatedSession], views: int
 ) -> None:
-    """30 rigs as a calibration leaves them, boards bowed as allowed for: every part's law, from points to verdict.
+    """20 rigs as a calibration leaves them, boards bowed as allowed for: every part's law, from points to verdict.
 
     Sums of the parts' chi-squared, at a family-wise 0.001 over eight of them, two-sided. Over a noise that is itself
     estimated from some 40 numbers or more the upper bound is that of F, which the p-values are of: they are uniform.
     """
     rng = np.random.default_rng(views)
     results: list[BoardCheck] = []
-    for number in range(30):
+    for number in range(20):
         bow = tuple((BOW * rng.normal(size=2)).tolist())
         observations = seen(calibrated, later[views], 100 * views + number, bow)
         results.append(check_board(observations, drawn(calibrated, rng), bow_mm=BOW))

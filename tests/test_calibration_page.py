@@ -19,7 +19,7 @@ from planeopt.report.calibration_conditions import conditions, from_below
 from planeopt.report.calibration_page import calibration_html
 from planeopt.report.calibration_residuals import Left, strips
 from planeopt.report.calibration_words import CAPTIONS, FORCED, NAMES, NOT_WRITTEN, SYMBOLS, UNITS
-from report_page import PageReader, differing
+from report_page import PageReader, differing, undrawn
 
 FIGURES = ["correlations", "cost", "warp", "vectors", "strips", "histogram", "beam", "coverage", "poses"]
 TABLES = ["gates", "parameters", "noise", "costs", "ladder", "tests", "views", "held_out", "images", "provenance"]
@@ -136,7 +136,8 @@ def test_bars_of_spots_are_what_their_ellipses_expect(file: CalibrationFile):
     assert strips(without).png
 
 
-def test_a_refused_calibration_says_whether_its_rig_was_written(file: CalibrationFile):
+def test_a_refused_calibration_says_whether_its_rig_was_written(file: CalibrationFile, monkeypatch: pytest.MonkeyPatch):
+    undrawn(monkeypatch)
     refused = msgspec.structs.replace(
         file, verdict="refused", adjustment=None, ladder=(), tests={}, held_out=None, cost=()
     )

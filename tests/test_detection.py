@@ -4,6 +4,7 @@ import json
 import shutil
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ BOARD = load_board(EXAMPLE / "session" / "board.toml")
 BARE = replace(BOARD, window_mm=None)
 
 
+@cache
 def example_image(name: str) -> NDArray[np.uint8]:
     return np.asarray(read_image(EXAMPLE / "session" / name), dtype=np.uint8)
 
