@@ -31,8 +31,8 @@ LOCAL = "local"
 CONNECT_S = 5.0
 """How long to wait for a scheduler to answer, and for its first worker, in seconds."""
 
-NUMERICAL = ("planeopt", "numpy", "scipy", "casadi", "opencv-contrib-python-headless")
-"""What has to be of the same version everywhere, so that a cluster gives the numbers that one process gives."""
+NUMERICAL = ("planeopt", "numpy", "scipy", "casadi", "opencv-contrib-python-headless", "distributed")
+"""What has to be of the same version everywhere, so that a cluster works and gives the numbers that one process gives."""
 
 _one_at_a_time = threading.Lock()
 """Of a worker process: its libraries were not made for two items at once, however many threads the worker has."""
@@ -82,7 +82,10 @@ def cluster(address: str, jobs: int = 1) -> Iterator[Executor]:
         else:
             _knock(address)
             where = address
-        client = opened.enter_context(distributed.Client(where, timeout=CONNECT_S, set_as_default=False))
+        with warnings.catch_warnings():
+            # Of other versions Dask warns with a table; what matters is looked at below.
+            warnings.simplefilter("ignore", distributed.versions.VersionMismatchWarning)
+            client = opened.enter_context(distributed.Client(where, timeout=CONNECT_S, set_as_default=False))
         if address != LOCAL:
             _check_workers(client, address)
         executor = DaskExecutor(client, address)
