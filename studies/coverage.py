@@ -1,6 +1,7 @@
 """Do 95 % intervals, of first order (Laplace) and sampled (emcee), hold the truth in 95 % of cases, and 68 % in 68 %?
 
-Planes are drawn from the prior, rigs at random, half of them known only as well as a calibration's covariance says.
+Planes are drawn from the prior, rigs at random, half of those of the point sets and a quarter of those of the images
+known only as well as a calibration's covariance says.
 
 1. **Point sets.** With boundary points on full and on 40 % arcs, with noise of 0.1 to 1 px: how often do the intervals
    of z_L, both slopes, tilt and R hold the truth, those of the posterior everywhere and those of first order where they

@@ -53,10 +53,10 @@ def run_images(seeds: Iterable[int], executor: Executor | None) -> list[ImageRow
 
 
 def measure_image(seed: int) -> ImageRow:
-    """Render an image of a plane of the prior and measure it with the given rig; every second rig has a covariance."""
+    """Render an image of a plane of the prior and measure it with the given rig; every fourth rig has a covariance."""
     rng = np.random.default_rng([75, seed])
     kind = kind_of(seed)
-    rig = draw_camera(rng, kind, covariance=seed % 2 == 1)
+    rig = draw_camera(rng, kind, covariance=seed % 4 == 1)
     truth = draw_truth(rig, PRIOR, rng)
     lit = light(truth.rig, truth.pose, kind, LOOK, rng)
     outcome, solution, posterior = "measured", None, None
