@@ -32,7 +32,7 @@ CONNECT_S = 5.0
 """How long to wait for a scheduler to answer, and for its first worker, in seconds."""
 
 NUMERICAL = ("planeopt", "numpy", "scipy", "casadi", "opencv-contrib-python-headless", "distributed")
-"""What has to be of the same version everywhere, so that a cluster works and gives the numbers that one process gives."""
+"""What has to be of the same version everywhere for a cluster to give the numbers that one process gives."""
 
 _one_at_a_time = threading.Lock()
 """Of a worker process: its libraries were not made for two items at once, however many threads the worker has."""
