@@ -67,6 +67,8 @@ def words(comparison: Comparison, name: str) -> Words:
         "Monte Carlo standard deviation. Middle: points at which functions and derivatives were evaluated. Right: time "
         "to build the programme once, and to solve it once built. Medians over the inputs."
     )
+    if failing and summary[0].problems > 1:
+        caption += " Hollow marks: of those inputs that have an answer."
     refused = len(summary) - len(drawn)
     if refused:
         caption += f" {refused} of {len(summary)} pairs were refused before any search: the tables say why."
