@@ -72,10 +72,14 @@ def eccentric_angles(B: ArrayLike, points: ArrayLike) -> FloatArray:
         A conic is not a real ellipse.
     """
     ellipse, points = geometric_from_conic(B), as_points(points)
-    offset = points - ellipse.centre[..., None, :]
+    # Coordinate by coordinate: side by side they would be walked with gaps.
+    x, y = points[..., 0] - ellipse.centre[..., :1], points[..., 1] - ellipse.centre[..., 1:]
     cos, sin = np.cos(ellipse.angle)[..., None], np.sin(ellipse.angle)[..., None]
-    along = (cos * offset[..., 0] + sin * offset[..., 1]) / ellipse.semi_axes[..., :1]
-    across = (cos * offset[..., 1] - sin * offset[..., 0]) / ellipse.semi_axes[..., 1:]
+    major, minor = ellipse.semi_axes[..., :1], ellipse.semi_axes[..., 1:]
+    along = x * (cos / major)
+    along += y * (sin / major)
+    across = y * (cos / minor)
+    across -= x * (sin / minor)
     return np.arctan2(across, along)
 
 

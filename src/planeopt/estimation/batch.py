@@ -249,14 +249,15 @@ def _flags(
     used = found.codes != _UNUSABLE
     of_rig = [rig.covariance is None, rig.refused is not None]
     estimated, floored = used & (found.scale_dof >= 0), used & found.floored
-    made: dict[tuple[object, ...], tuple[Enum, ...]] = {}
+    made: dict[tuple[int, ...], tuple[Enum, ...]] = {}
     flags = []
     for spot, *marks, others in zip(spots, used.tolist(), estimated.tolist(), floored.tolist(), raised, strict=True):
-        key = (spot.flags, *marks, others)
+        # What is alike is one object: its identity is hashed faster than its flags.
+        key = (*marks, id(others))
         if key not in made:
             told = zip(_OF_USED, (marks[1], marks[2], *(marks[0] and mark for mark in of_rig)), strict=True)
-            made[key] = (*spot.flags, *(flag for flag, raise_it in told if raise_it), *others)
-        flags.append(made[key])
+            made[key] = (*(flag for flag, raise_it in told if raise_it), *others)
+        flags.append((*spot.flags, *made[key]) if spot.flags else made[key])
     return tuple(flags)
 
 

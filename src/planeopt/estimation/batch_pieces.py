@@ -244,5 +244,5 @@ def _arcs(planes: Array, x: Array, y: Array, counts: NDArray[np.int64], images: 
         # A plane found in points that are no spot's may have an ellipse that rounding opens.
         closed = np.flatnonzero(is_ellipse(B))
         kept = rows[closed]
-        arcs[kept] = arc_fraction(B[closed], np.stack([x[kept, :n], y[kept, :n]], axis=-1))
+        arcs[kept] = arc_fraction(B[closed], np.moveaxis(np.stack([x[kept, :n], y[kept, :n]]), 0, -1))
     return arcs

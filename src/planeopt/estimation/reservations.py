@@ -1,7 +1,7 @@
 """What a reader of planes should know about them though nothing failed: flags, for one plane or for many."""
 
 import numpy as np
-import scipy.stats
+import scipy.special
 from numpy.typing import NDArray
 
 from planeopt.estimation.evidence import IMPROBABLE
@@ -26,7 +26,7 @@ def reservations(
     chi2_points: Array,
     dof_points: NDArray[np.int64],
 ) -> list[tuple[Flag, ...]]:
-    """Flags of M planes; what is NaN raises none.
+    """Flags of M planes; what is NaN raises none. Equal tuples are one object.
 
     Parameters
     ----------
@@ -51,9 +51,13 @@ def reservations(
         Flag.ANGLES_NONLINEAR: ~weak & ~flat & (slope_sigma > NONLINEAR_ANGLE_SHARE * tangent),
         Flag.BOUND_OUT_OF_REACH: reached > 1,
         Flag.SHORT_ARC: arc < SHORT_ARC,
-        Flag.POINTS_SCATTER: scipy.stats.chi2.sf(chi2_points, np.maximum(dof_points, 1)) < IMPROBABLE,
+        Flag.POINTS_SCATTER: scipy.special.chdtrc(np.maximum(dof_points, 1), chi2_points) < IMPROBABLE,
     }
-    return [tuple(flag for flag, mark in marks.items() if mark[row]) for row in range(len(planes))]
+    raised = np.zeros(len(planes), dtype=np.int64)
+    for place, mark in enumerate(marks.values()):
+        raised |= np.asarray(mark, dtype=np.int64) << place
+    sets = {code: tuple(flag for place, flag in enumerate(marks) if code >> place & 1) for code in set(raised.tolist())}
+    return [sets[code] for code in raised.tolist()]
 
 
 def slope_sigmas(covariance: Array) -> Array:
