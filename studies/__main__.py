@@ -26,6 +26,8 @@ STUDIES = (
     "rig_checks",
 )
 RESULTS = Path(__file__).parent / "results"
+INDEXES = (RESULTS.parent / "README.md", RESULTS.parents[1] / "README.md")
+"""Where headlines are shown: all of them, and some."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -53,7 +55,8 @@ def main(arguments: list[str] | None = None) -> None:
             result = study.run("quick" if given.quick else "full", executor)
             write(result, given.output / name)
             if given.output == RESULTS and not given.quick:
-                put_headline(RESULTS.parent / "README.md", name, result.headline)
+                for index in INDEXES:
+                    put_headline(index, name, result.headline)
             sys.stdout.write(f"{name}: {time.perf_counter() - begun:.0f} s, {given.output / name}\n")
 
 

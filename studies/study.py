@@ -102,7 +102,7 @@ def _write_table(path: Path, rows: Sequence["DataclassInstance"]) -> None:
 
 
 def put_headline(index: Path, name: str, headline: str) -> None:
-    """Put a study's headline into the index, between the two comments with its name.
+    """Put a study's headline between the two comments with its name, in a document that has them.
 
     Parameters
     ----------
@@ -112,6 +112,8 @@ def put_headline(index: Path, name: str, headline: str) -> None:
     """
     text = index.read_text(encoding="utf-8")
     begin, end = f"<!-- {name} -->\n", f"<!-- /{name} -->\n"
+    if begin not in text:
+        return
     before, rest = text.split(begin)
     after = rest.split(end)[1]
     index.write_text(f"{before}{begin}{textwrap.fill(headline, 120)}\n{end}{after}", encoding="utf-8")
