@@ -19,7 +19,16 @@ from planeopt.estimation.images import SPAN, Images, conics_at
 from planeopt.estimation.regular import Quadratic
 from planeopt.estimation.reservations import slope_sigmas
 from planeopt.estimation.second_order import typical_sigma
-from planeopt.estimation.tangents import Cloud, Tangents, combinations, complete, products, tangents, value_and_gradient
+from planeopt.estimation.tangents import (
+    BLOCK,
+    Cloud,
+    Tangents,
+    combinations,
+    complete,
+    products,
+    tangents,
+    value_and_gradient,
+)
 from planeopt.formulations.problem import Problem
 
 Array = NDArray[np.float64]
@@ -191,12 +200,27 @@ def curvatures_seen(
     first, second = images.differences(planes, moved, origin)
     # F_d, the components of its gradient, and F_dd, of three directions.
     coefficients = np.concatenate([value_and_gradient(first.reshape(-1, 6)).reshape(-1, 9, 6), second], axis=1)
-    rows = combinations(coefficients, seen.monomials)
-    (ax, ay), weight = seen.carried, seen.weight
-    conics = conics_at(quadratic.at)
+    conics, sums = conics_at(quadratic.at), np.empty((len(planes), 6, 3))
+    size = max(1, BLOCK // seen.left.shape[1])
+    for begin in range(0, len(planes), size):
+        some = slice(begin, begin + size)
+        sums[some] = _second_sums(seen, conics[some], coefficients[some], some)
+    along = np.swapaxes(by_plane, 1, 2) @ (SPAN.T @ sums)
+    own = np.swapaxes(by_plane, 1, 2) @ quadratic.information @ by_plane
+    bent = np.sqrt(np.einsum("mik,mik->mk", along, np.linalg.solve(own, along)))
+    return np.max(np.where(visible[:, :3] & visible[:, 3:], bent, np.inf), axis=-1)
+
+
+def _second_sums(seen: Tangents, conics: Array, coefficients: Array, some: slice) -> Array:
+    """Sums (M, 6, 3) of second derivatives of the distances along three directions with the monomials, for some rows.
+
+    `coefficients` (M, 12, 6): of F_d and of the components of its gradient, for each direction, then of F_dd.
+    """
+    monomials, weight = seen.monomials[:, some], seen.weight[some]
+    ax, ay = seen.carried[0][some], seen.carried[1][some]
+    rows = combinations(coefficients, monomials)
     across = (conics[:, :1] * ax + conics[:, 1:2] * ay) * ax + conics[:, 2:3] * ay * ay
     across *= weight
-    changes = np.empty((3, *weight.shape))
     for k in range(3):
         value, gx, gy, bent = rows[3 * k], rows[3 * k + 1], rows[3 * k + 2], rows[9 + k]
         # (F_dd - 2 F_d (V g)' grad F_d / h^2 + 2 F_d^2 (V g)' A (V g) / h^4) / h^2
@@ -207,13 +231,10 @@ def curvatures_seen(
         gx -= gy
         gx *= value
         gx *= weight
-        gx *= -2
-        gx += bent
-        np.multiply(gx, weight, out=changes[k])
-    along = np.swapaxes(by_plane, 1, 2) @ (SPAN.T @ products(seen.monomials, changes))
-    own = np.swapaxes(by_plane, 1, 2) @ quadratic.information @ by_plane
-    bent = np.sqrt(np.einsum("mik,mik->mk", along, np.linalg.solve(own, along)))
-    return np.max(np.where(visible[:, :3] & visible[:, 3:], bent, np.inf), axis=-1)
+        gx *= 2
+        bent -= gx
+        bent *= weight
+    return products(monomials, rows[9:])
 
 
 def _cloud(boundary: Boundary) -> Cloud:

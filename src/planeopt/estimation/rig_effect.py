@@ -160,7 +160,7 @@ class RigDerivatives:
         self, seen: Seen, by_beam: Array, camera: Array | None, scale: Array, rows: NDArray[np.intp]
     ) -> RigEffect:
         """From sums over the points: Cholesky's factor of the information is the triangle of the points' rows."""
-        sums = products(seen.tangents.monomials, seen.tangents.weighted[:6])
+        sums = seen.tangents.sums()[:, :, :6]
         by_all = np.zeros((len(sums), 5, len(PARAMETERS)))
         by_all[:, :, self._places] = SPAN.T @ (sums @ by_beam)
         if camera is not None:

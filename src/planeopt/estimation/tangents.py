@@ -22,6 +22,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+BLOCK = 1 << 14
+"""Points whose arrays the nearest cache holds together."""
+
+
 @dataclass(frozen=True, eq=False)
 class Cloud:
     """Boundary points of M spots, centred.
@@ -78,14 +82,16 @@ class Cloud:
         complete(made)
         return made
 
-    def carry(self, gx: Array, gy: Array, part: Array) -> tuple[Array, Array]:
-        """Return V times vectors; `part` is room to compute in."""
-        x = self.xx * gx
+    def carry(self, gx: Array, gy: Array, rows: slice) -> tuple[Array, Array]:
+        """Return V times vectors, of some of the spots."""
+        xx = self.xx[rows]
+        x = xx * gx
         if self.xy is None or self.yy is None:
-            return x, self.xx * gy
-        x += np.multiply(self.xy, gy, out=part)
-        y = self.yy * gy
-        y += np.multiply(self.xy, gx, out=part)
+            return x, xx * gy
+        xy, y = self.xy[rows], self.yy[rows] * gy
+        part = xy * gy
+        x += part
+        y += np.multiply(xy, gx, out=part)
         return x, y
 
 
@@ -111,6 +117,8 @@ class Tangents:
         ``m grad F' V grad F``.
     gradient, carried : pairs of (M, N)
         ``grad F`` and ``V grad F``.
+    products : (M, 6, 7)
+        Sums of products of the monomials with what is weighted.
     """
 
     monomials: Array
@@ -118,6 +126,7 @@ class Tangents:
     left: Array
     gradient: tuple[Array, Array]
     carried: tuple[Array, Array]
+    products: Array
 
     @property
     def multiplier(self) -> Array:
@@ -132,13 +141,13 @@ class Tangents:
     def put(self, rows: NDArray[np.intp], values: "Tangents") -> None:
         """Write those of some of the spots."""
         self.monomials[:, rows], self.weighted[:, rows] = values.monomials, values.weighted
-        self.left[rows] = values.left
+        self.left[rows], self.products[rows] = values.left, values.products
         for ours, theirs in zip((*self.gradient, *self.carried), (*values.gradient, *values.carried), strict=True):
             ours[rows] = theirs
 
     def sums(self) -> Array:
         """Return the sums (M, 6, 7) of squares and products of the distances' derivatives, and with the distances."""
-        return products(self.monomials, self.weighted)
+        return self.products
 
     def cost(self) -> Array:
         """Return the sums of the squared distances, (M,)."""
@@ -168,30 +177,46 @@ def tangents(cloud: Cloud, conics: Array, guess: Array) -> Tangents:
     guess : (6, M, N)
         Monomials of the feet to begin with; overwritten with those of the new ones.
     """
-    left, gx, gy = combinations(value_and_gradient(conics), guess)
-    size, part = np.empty_like(gx), np.empty_like(gx)
-    ax, ay = cloud.carry(gx, gy, part)
-    np.multiply(gx, ax, out=size)
-    size += np.multiply(gy, ay, out=part)
-    np.subtract(cloud.x, guess[3], out=part)
-    part *= gx
-    left += part
-    np.subtract(cloud.y, guess[4], out=part)
-    part *= gy
-    left += part
-    weighted = np.empty((7, *size.shape))
+    m, n = cloud.x.shape
+    made = Tangents(
+        guess,
+        np.empty((7, m, n)),
+        np.empty((m, n)),
+        (np.empty((m, n)), np.empty((m, n))),
+        (np.empty((m, n)), np.empty((m, n))),
+        np.empty((m, 6, 7)),
+    )
+    coefficients = value_and_gradient(conics)
+    size = max(1, BLOCK // n)
+    for begin in range(0, m, size):
+        rows = slice(begin, begin + size)
+        _look(cloud, coefficients[rows], made, rows)
+    return made
+
+
+def _look(cloud: Cloud, coefficients: Array, made: Tangents, rows: slice) -> None:
+    """Take the tangents of some rows."""
+    guess, weighted = made.monomials[:, rows], made.weighted[:, rows]
+    value, gx, gy = combinations(coefficients, guess)
+    x, y = cloud.x[rows], cloud.y[rows]
+    ax, ay = cloud.carry(gx, gy, rows)
     weight, multiplier = weighted[5], weighted[6]
+    size, part = gx * ax, gy * ay
+    size += part
+    value += np.multiply(np.subtract(x, guess[3], out=part), gx, out=part)
+    value += np.multiply(np.subtract(y, guess[4], out=part), gy, out=part)
     np.divide(1.0, size, out=weight)
     if cloud.used is not None:
-        weight *= cloud.used
-    np.multiply(left, weight, out=multiplier)
-    np.multiply(multiplier, ax, out=part)
-    np.subtract(cloud.x, part, out=guess[3])
-    np.multiply(multiplier, ay, out=part)
-    np.subtract(cloud.y, part, out=guess[4])
+        weight *= cloud.used[rows]
+    np.multiply(value, weight, out=multiplier)
+    np.subtract(x, np.multiply(multiplier, ax, out=part), out=guess[3])
+    np.subtract(y, np.multiply(multiplier, ay, out=part), out=guess[4])
     complete(guess)
     np.multiply(guess[:5], weight, out=weighted[:5])
-    return Tangents(guess, weighted, left, (gx, gy), (ax, ay))
+    made.products[rows] = products(guess, weighted)
+    made.left[rows] = value
+    made.gradient[0][rows], made.gradient[1][rows] = gx, gy
+    made.carried[0][rows], made.carried[1][rows] = ax, ay
 
 
 def value_and_gradient(conics: Array) -> Array:
