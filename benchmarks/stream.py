@@ -5,7 +5,6 @@
 It simulates images of 1280 x 1024 px, each of another plane with noise of its own, in a folder that is kept for the
 next time if it is named. Then the command runs over all of them, once left alone and once ended twice: by the
 keyboard's interrupt after a third, and by SIGKILL of the parent after two thirds, each time continued by --resume.
-What it prints is in docs/cluster.md.
 """
 
 import argparse
