@@ -57,4 +57,7 @@ class Sqp:
             ("qpsol_options.print_header", False),
             ("qpsol_options.print_info", False),
             ("qpsol_options.error_on_fail", False),
+            # Without it a bound on which nothing presses but rounding begins the next step's search as active, and one
+            # in eighty searches of spots that a slightly wrong rig sees ends there.
+            ("qpsol_options.min_lam", self.tol),
         )
