@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from cyclopts.types import NonNegativeInt, PositiveInt
 
 from planeopt.cli.clock import stated_time
-from planeopt.cli.files import output_folder, spare_inputs
+from planeopt.cli.files import may_write, output_folder, spare_inputs
 from planeopt.cli.messages import exit_status, remark, stages, tables
 from planeopt.cli.tables import text_table
 from planeopt.errors import InputError
@@ -146,8 +146,8 @@ def calibrate(
     written = [output / name for name in FILES]
     read = [file for file in (session, detections) if file is not None]
     spare_inputs(written if save_detections is None else [*written, save_detections], read)
-    if save_detections is not None and save_detections.exists() and not force:
-        raise InputError(f"{save_detections}: exists already; --force overwrites it")
+    if save_detections is not None:
+        may_write(save_detections, read, force=force)
     again = load_record(session) if session.suffix.lower() == ".json" and not session.is_dir() else None
     if again is not None and detections is not None:
         raise InputError(f"{session}: holds its corners already; --detections goes with a session")

@@ -7,10 +7,12 @@ import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from planeopt.errors import InputError
+from planeopt.whole_files import place_of, write_whole
 
 
 @contextmanager
@@ -22,33 +24,47 @@ def output_folder(path: Path, *, force: bool) -> Iterator[Path]:
     path : Path
         Missing parents are made.
     force : bool
-        Let the folder exist; files of the same name are replaced, others stay.
+        Let the folder exist; files of the same name are replaced, others stay. Of a file that is a symbolic link the
+        target is written.
 
     Raises
     ------
     InputError
-        If the folder exists, without `force`, or cannot be made.
+        If the folder exists, without `force`, or cannot be made, or holds what is no file where one is to be written.
     """
     if path.exists() and not force:
         raise InputError(f"{path}: exists already; name another folder, or give --force to write into it")
     if path.exists() and not path.is_dir():
         raise InputError(f"{path}: is a file, not a folder to write into")
+    # Beside the folder itself, not beside a link to it: nothing can be renamed into another file system.
+    folder = Path(os.path.realpath(path))
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        staging = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        staging = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
     except OSError as error:
         raise InputError(f"{path}: cannot be made ({error.strerror})") from error
     try:
         yield staging
-        path.mkdir(exist_ok=True)
-        for file in sorted(staging.rglob("*")):
-            place = path / file.relative_to(staging)
-            if file.is_dir():
-                place.mkdir(exist_ok=True)
-            else:
-                file.replace(place)
+        _move_into(path, staging)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+def _move_into(path: Path, staging: Path) -> None:
+    """Move all that is in a folder into another; nothing if one of them has no place there."""
+    written = [(file, path / file.relative_to(staging)) for file in sorted(staging.rglob("*"))]
+    for file, place in written:
+        if not file.is_dir():
+            place_of(place)
+    # Of a link that leads nowhere yet, what it leads to.
+    Path(os.path.realpath(path)).mkdir(exist_ok=True)
+    for file, place in written:
+        if file.is_dir():
+            place.mkdir(exist_ok=True)
+        elif place.is_symlink():
+            write_whole(place, partial(shutil.copyfile, file))
+        else:
+            file.replace(place)
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -66,8 +82,9 @@ def spare_what_is_read(output: Path, read: Iterable[str | Path]) -> None:
     # Tens of thousands of names take a while to resolve; a file that is not there is none of those that are read.
     if target.exists() and any(Path(name).resolve() == target for name in read):
         raise InputError(f"{output}: is read in this run; name another file to write")
-    if target.exists() and not target.is_file() and not target.is_dir():
-        raise InputError(f"{output}: is not a regular file; leave -o out to write to standard output")
+    # Itself, not its resolved name: what standard output leads to has none where it is a pipe.
+    if output.exists() and not output.is_file() and not output.is_dir():
+        raise InputError(f"{output}: is not a regular file; name one to write")
 
 
 def may_write(output: Path, read: Iterable[str | Path], *, force: bool) -> None:

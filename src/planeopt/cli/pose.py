@@ -15,6 +15,7 @@ from planeopt.cli.messages import doing, remark, report
 from planeopt.cli.record_files import Kept, check_kept, kept_records, may_begin, record_file
 from planeopt.cli.rigs import load_measuring_rig
 from planeopt.errors import InputError
+from planeopt.whole_files import place_of
 
 if TYPE_CHECKING:
     from planeopt.record import PoseRecord
@@ -78,6 +79,7 @@ def pose(
     kept = None
     if output is not None:
         spare_what_is_read(output, (*names, rig, *(file for file in (dark, inputs_from) if file is not None)))
+        output = place_of(output)
         may_begin(output, resume=resume, force=force)
         kept = kept_records(output, names, method.formulation.name) if resume else None
     search = Search(dark=None if dark is None else read_image(dark))

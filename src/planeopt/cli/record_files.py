@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planeopt.errors import InputError
+from planeopt.whole_files import place_of
 
 if TYPE_CHECKING:
     from planeopt.record import PoseRecord
@@ -137,6 +138,7 @@ def record_file(path: Path, kept: Kept | None, *, force: bool) -> Iterator[Calla
     Parameters
     ----------
     path : Path
+        No symbolic link, but where it leads (`planeopt.whole_files.place_of`).
     kept : Kept or None
         What to continue; None begins anew.
     force : bool
@@ -177,22 +179,24 @@ def record_file(path: Path, kept: Kept | None, *, force: bool) -> Iterator[Calla
 
 
 def may_begin(path: Path, *, resume: bool, force: bool) -> None:
-    """Refuse an output file that is a folder, or is there without `resume` or `force`.
+    """Refuse an output file that cannot be one, or is there without `resume` or `force`.
 
     Raises
     ------
     InputError
-        If it is, or both are given.
+        If it is so, or both are given.
     """
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder; name the file of records to write in it")
+    partial = partial_file(path)
+    place_of(path)
+    # It is renamed at the end: where it is a link, what it leads to would be left behind.
+    if place_of(partial) != partial:
+        raise InputError(f"{partial}: is a link; remove it, the records are written there first")
     if resume and force:
         raise InputError("--resume keeps what is there and --force overwrites it: give one of them")
     if resume or force:
         return
     if path.exists():
         raise InputError(f"{path}: exists already; --force overwrites it, --resume continues it")
-    partial = partial_file(path)
     if partial.exists():
         raise InputError(f"{partial}: is left from an interrupted run; --resume continues it, --force begins anew")
 
