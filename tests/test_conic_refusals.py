@@ -169,3 +169,18 @@ def test_whatever_the_points_are_there_is_a_verdict(method, n):
         assert np.isnan(fits.B[~fits.ok]).all()
         assert fits.ok[:50].mean() > 0.9
         assert not fits.ok.all()
+
+
+def test_a_line_bent_by_a_lens_costs_itself_only():
+    """Maximum likelihood runs off from there until there are no derivatives left."""
+    t = np.linspace(-1.5, 1.5, 8)
+    bent = np.stack([t, 0.33 * t + 1e-3 * t**2 + 1e-4 * t**3], axis=-1)
+    angles = 2 * np.pi * np.arange(8) / 8
+    good = np.stack([np.cos(angles), np.sin(angles)], axis=-1) + 0.01 * np.random.default_rng(33).standard_normal(
+        (8, 2)
+    )
+    with pytest.raises(InputError, match="the 8 points lie on a hyperbola, not on an ellipse"):
+        conic.fit_conic(bent)
+    fits = conic.fit_conic(np.stack([bent, good]), check=False)
+    assert fits.verdict.tolist() == [Verdict.HYPERBOLA, Verdict.OK]
+    np.testing.assert_allclose(fits.B[1], conic.fit_conic(good).B, rtol=1e-9)

@@ -19,6 +19,9 @@ STEP_TOLERANCE = 1e-7
 """A step below this many standard deviations ends the iteration. The step after it would be shorter by the noise over
 the ellipse's size, so what is missing is far below 1e-9 standard deviations."""
 
+VANISHED = 1e-200
+"""Information about the coefficients, over that at the start, below which there is none."""
+
 
 def monomials(u: FloatArray) -> FloatArray:
     """Return xi, shape (K, N, 6)."""
@@ -143,12 +146,15 @@ def maximum_likelihood(sample: Sample, start: FloatArray) -> tuple[FloatArray, B
         gradient = (_transpose(J) @ residual[..., None])[..., 0]
         H = _transpose(J) @ J
         diagonal = np.einsum("kii->ki", H)
+        # A fit that ran off to endless coefficients has no derivatives left to come back by.
+        lost = np.sum(diagonal, axis=-1) < VANISHED
+        H[lost] = np.eye(5)
         # The constant part keeps H invertible; it slows a step by 1e-14 and does not move the minimum.
         diagonal += damping[:, None] * diagonal + 1e-14 * np.sum(diagonal, axis=-1, keepdims=True)
         step = -np.linalg.solve(H, gradient[..., None])[..., 0]
         gain = -np.sum(step * gradient, axis=-1)
         trial = current + (P @ step[..., None])[..., 0]
-        done = gain <= STEP_TOLERANCE**2 * cost / D.shape[1] + floor
+        done = ~lost & (gain <= STEP_TOLERANCE**2 * cost / D.shape[1] + floor)
         if np.all(done):
             B[index], converged[index] = trial, True
             break
@@ -160,7 +166,7 @@ def maximum_likelihood(sample: Sample, start: FloatArray) -> tuple[FloatArray, B
         damping = np.where(better, np.where(damping > 1e-6, damping / 10, 0.0), np.maximum(10 * damping, 1e-3))
         current = np.where((better | done)[:, None], trial, current)
         B[index], converged[index] = current, done
-        go = ~done
+        go = ~(done | lost)
         residual = np.where(better[:, None], trial_residual, residual)
         J = np.where(better[:, None, None], trial_J, J)
         cost = np.where(better, trial_cost, cost)
