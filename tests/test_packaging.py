@@ -21,6 +21,7 @@ PACKAGE = ROOT / "src" / "planeopt"
 ROOMS = (
     "errors",
     "ranks",
+    "look",
     "executors",
     "whole_files",
     "toml_files",

@@ -12,27 +12,16 @@ from numpy.typing import ArrayLike, NDArray
 from planeopt.design.levers import RIG_LEVERS, with_factors
 from planeopt.design.prediction import Prediction, plane_at, predict
 from planeopt.design.quality import Quality
+from planeopt.look import CHART, DARK, LIGHT, RED
 from planeopt.rig import Rig
 
 Array = NDArray[np.float64]
 
-LOOKS = (("#123a6b", "-", "o"), ("#c9382a", "--", "s"), ("#e08214", "-.", "^"), ("0.62", ":", "D"))
+LOOKS = ((DARK, "-", "o"), (RED, "--", "s"), (LIGHT, "-.", "^"), ("0.62", ":", "D"))
 """Colour, dashes and marker of each line: apart in lightness too, so that they survive a grey print."""
 
 LEVER_NAMES = {"offset": "offset", "radius": "beam's radius", "f": "focal length", "distance": "distance"}
 
-_STYLE: dict[Any, Any] = {
-    "font.size": 9.5,
-    "axes.titlesize": 10,
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "grid.color": "0.9",
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "legend.fontsize": 9,
-}
 _PLACES = 49
 _FACTORS = np.geomspace(0.5, 2.0, 25)
 
@@ -65,7 +54,7 @@ def design_chart(
     reference = plane_at(rig, middle, tilts[-1], toward)
     levers = [lever for lever in RIG_LEVERS if lever != "offset" or any(rig.require_beam().offset)]
     over_factors = {lever: with_factors(rig, reference, quality, lever, _FACTORS) for lever in levers}
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(dict(CHART)):
         made = Figure(figsize=(10.5, 7.5), layout="constrained", dpi=130)
         made.suptitle(_heading(over_distance, distance), x=0.01, ha="left", fontsize=12, fontweight="bold")
         axes = made.subplots(2, 2, sharey="col")

@@ -9,7 +9,8 @@ from matplotlib.patches import ConnectionPatch, Rectangle
 from numpy.typing import NDArray
 
 from planeopt.accuracy import Score
-from planeopt.report.style import DARK, ELLIPSE, LIGHT, POINT, look
+from planeopt.look import DARK, LIGHT
+from planeopt.report.style import ELLIPSE, POINT, look
 from planeopt.spot import Spot
 
 _LETTER_SIZE = 9.0

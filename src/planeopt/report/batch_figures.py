@@ -9,8 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from planeopt.look import DARK, LIGHT
 from planeopt.report.content import Picture
-from planeopt.report.style import BAND, DARK, ELLIPSE, LIGHT, PAGE_WIDTH, page_figure, picture
+from planeopt.report.style import BAND, ELLIPSE, PAGE_WIDTH, page_figure, picture
 
 Array = NDArray[np.float64]
 

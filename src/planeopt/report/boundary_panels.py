@@ -7,9 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from numpy.typing import NDArray
 
+from planeopt.look import DARK
 from planeopt.report.pixels import Window, show
 from planeopt.report.spot_judged import Judged
-from planeopt.report.style import DARK, ELLIPSE, POINT, REJECTED
+from planeopt.report.style import ELLIPSE, POINT, REJECTED
 from planeopt.spot import Spot
 
 MARGIN = 1.3  # half side of the piece of the image that is shown, over the spot's

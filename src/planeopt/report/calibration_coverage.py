@@ -6,8 +6,9 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from planeopt.calibration.record import AdjustmentRecord, CalibrationFile
+from planeopt.look import DARK, LIGHT
 from planeopt.report.content import Picture
-from planeopt.report.style import DARK, ELLIPSE, LIGHT, PAGE_WIDTH, mark_size, page_figure, picture
+from planeopt.report.style import ELLIPSE, PAGE_WIDTH, mark_size, page_figure, picture
 
 _CELLS = 8  # across the image
 _NAMED = 40  # views at most that get their number

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from planeopt.board import Board
 from planeopt.calibration.adjusted import WITHIN
 from planeopt.calibration.record import AdjustmentRecord, BoardRecord, CalibrationFile, SectionRecord
+from planeopt.look import DARK
 from planeopt.report.content import Picture
-from planeopt.report.style import BAND, DARK, ELLIPSE, PAGE_WIDTH, REJECTED, mark_size, page_figure, picture
+from planeopt.report.style import BAND, ELLIPSE, PAGE_WIDTH, REJECTED, mark_size, page_figure, picture
 
 Array = NDArray[np.float64]
 

@@ -5,9 +5,10 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from planeopt.calibration.record import AdjustmentRecord, CostRecord
+from planeopt.look import DARK, LIGHT
 from planeopt.report.calibration_words import SYMBOLS
 from planeopt.report.content import Picture
-from planeopt.report.style import DARK, ELLIPSE, LIGHT, PAGE_WIDTH, page_figure, picture
+from planeopt.report.style import ELLIPSE, PAGE_WIDTH, page_figure, picture
 
 Array = NDArray[np.float64]
 

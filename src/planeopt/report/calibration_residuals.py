@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from planeopt.calibration.noise import ELLIPSE as ELLIPSE_NUMBERS
 from planeopt.calibration.record import AdjustmentRecord, CalibrationFile
+from planeopt.look import DARK, LIGHT
 from planeopt.report.content import Picture
-from planeopt.report.style import BAND, DARK, ELLIPSE, LIGHT, PAGE_WIDTH, REJECTED, page_figure, picture
+from planeopt.report.style import BAND, ELLIPSE, PAGE_WIDTH, REJECTED, page_figure, picture
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter, ScalarFormatter
 
 from planeopt.comparison import Comparison, Pooled, Summary
-from planeopt.report.style import DARK, LIGHT, drawable, look
+from planeopt.look import DARK, LIGHT
+from planeopt.report.style import drawable, look
 
 _LETTER_SIZE = 8.5
 _FAINT = "0.45"

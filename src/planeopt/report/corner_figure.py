@@ -9,8 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from planeopt.look import DARK
 from planeopt.report.content import Picture
-from planeopt.report.style import DARK, ELLIPSE, page_figure, picture
+from planeopt.report.style import ELLIPSE, page_figure, picture
 
 Array = NDArray[np.float64]
 

@@ -12,15 +12,16 @@ from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from numpy.typing import NDArray
 
+from planeopt.look import DARK, LIGHT, RED
 from planeopt.plane import Plane
 from planeopt.report.content import Picture
-from planeopt.report.style import DARK, ELLIPSE, LIGHT, PAGE_WIDTH, page_figure, picture
+from planeopt.report.style import ELLIPSE, PAGE_WIDTH, page_figure, picture
 from planeopt.rig import Rig
 from planeopt.solution import Solution
 
 Array = NDArray[np.float64]
 
-_CAMERA, _BEAM, _PLANE, _SPOT, _OTHER, _NORMAL = "black", "#c9382a", "#8fb4d9", ELLIPSE, LIGHT, DARK
+_CAMERA, _BEAM, _PLANE, _SPOT, _OTHER, _NORMAL = "black", RED, "#8fb4d9", ELLIPSE, LIGHT, DARK
 _AROUND = np.linspace(0, 2 * np.pi, 73)
 _FAR = 2.5  # times the depth: a second plane farther off, or behind the camera, is left out of the picture
 _CONE = 14.0  # deg: half opening at which the cone of the normal is drawn, at most

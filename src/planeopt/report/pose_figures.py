@@ -7,12 +7,13 @@ import scipy.stats
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from planeopt.look import DARK
 from planeopt.report.boundary_panels import MARGIN, bounds, draw_hairs, draw_points, draw_spot
 from planeopt.report.content import Picture
 from planeopt.report.pixels import Window, show
 from planeopt.report.pose_fit import PoseFit
 from planeopt.report.spot_judged import Judged
-from planeopt.report.style import BAND, DARK, ELLIPSE, PAGE_WIDTH, drawable, page_figure, picture
+from planeopt.report.style import BAND, ELLIPSE, PAGE_WIDTH, drawable, page_figure, picture
 from planeopt.spot import Spot
 
 _BINS = 36  # of the angle, for the running mean

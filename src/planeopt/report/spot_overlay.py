@@ -10,10 +10,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
+from planeopt.look import DARK
 from planeopt.report.boundary_panels import MARGIN, bounds, draw_hairs, draw_points, draw_spot, shown
 from planeopt.report.pixels import Window, show
 from planeopt.report.spot_judged import Judged, judge
-from planeopt.report.style import BAND, DARK, ELLIPSE, POINT, REJECTED, drawable, look
+from planeopt.report.style import BAND, ELLIPSE, POINT, REJECTED, drawable, look
 from planeopt.rig import Camera
 from planeopt.spot import Spot
 

@@ -11,25 +11,17 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from planeopt.look import FRAME
 from planeopt.report.content import Picture
 
-# Far apart in lightness as well as in hue, so that they survive a grey print and colour-blind eyes; the ellipse's lies
-# between the black and the white of an image.
+# Far apart in lightness as well as in hue, like all colours here; the ellipse's lies between the black and the white of
+# an image.
 ELLIPSE = "#e4471f"
 POINT = "#ffd23f"
 REJECTED = "#1fa2e0"
-DARK = "#123a6b"
-LIGHT = "#e08214"
 BAND = ("0.92", "0.82")  # two standard deviations, one
 
-_LOOK: dict[Any, Any] = {
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "grid.color": "0.9",
-    "grid.linewidth": 0.6,
-    "lines.solid_capstyle": "round",
-}
+_LOOK: dict[Any, Any] = {**FRAME, "lines.solid_capstyle": "round"}
 PAGE_WIDTH = 10.0  # inches: a figure as wide as the page
 _PAGE_SIZE = 9.0  # pt, at the page's full width
 _PAGE_DPI = 170  # sharp on paper at the width of a page, and twice what a column of the screen has

@@ -7,24 +7,17 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-# Apart in lightness as well as in hue, so that they survive a grey print and colour-blind eyes; dashes help too.
-TRUE = "#123a6b"
-SECOND = "#e08214"
-BEAM = "#c9382a"
+from planeopt.look import CHART, DARK, LIGHT, RED
+
+TRUE, SECOND, BEAM = DARK, LIGHT, RED
 FAINT = "0.62"
 
 _STYLE: dict[Any, Any] = {
+    **CHART,
     "font.size": 10,
     "axes.titlesize": 11,
-    "axes.titlelocation": "left",
     "axes.labelsize": 10,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "grid.color": "0.9",
-    "grid.linewidth": 0.6,
     "legend.fontsize": 9.5,
-    "legend.frameon": False,
     "lines.solid_capstyle": "round",
 }
 
