@@ -49,7 +49,7 @@ test-oldest: $(OLDEST_READY)
 	$(OLDEST)/bin/pytest -n $(WORKERS) -W ignore::DeprecationWarning $(OLDEST_TESTS)
 
 bench: $(READY)
-	$(BIN)/pytest benchmarks -p no:cacheprovider
+	$(ONE_THREAD) $(BIN)/pytest benchmarks -p no:cacheprovider --write-tables
 
 studies: $(READY)
 	$(ONE_THREAD) $(BIN)/python -m studies --jobs $(WORKERS)

@@ -1,11 +1,18 @@
 """Collect what was timed and print it at the end as tables of ratios."""
 
 import math
+import os
+import platform
 from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
 from typing import Any, Protocol
 
 import pytest
 
+README = Path(__file__).parent / "README.md"
+LIBRARIES = ("numpy", "scipy", "casadi", "opencv-contrib-python-headless")
+BEGIN, END = "<!-- tables -->\n", "<!-- /tables -->"
 ROWS = pytest.StashKey[list[tuple[str, str, float, dict[str, Any]]]]()
 COUNTS = {
     "iterations": ("iterations", "d"),
@@ -50,22 +57,53 @@ def report(request: pytest.FixtureRequest) -> Report:
     return add
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let `make bench` write what it prints into the document that explains it."""
+    parser.addoption("--write-tables", action="store_true", help="put the tables into benchmarks/README.md")
+
+
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
     """Print a Markdown table for each group: best and median time, ratio of the best ones, counts, agreement."""
     rows = config.stash.get(ROWS, [])
+    if not rows:
+        return
+    lines = [machine()]
     for group in dict.fromkeys(group for _, group, _, _ in rows):
-        members = [row for row in rows if row[1] == group]
-        fastest = min((row[2] for row in members if not math.isnan(row[2])), default=math.nan)
-        unit = next((best for what, _, best, _ in members if what in UNITS_OF_TIME), fastest)
-        terminalreporter.section(group)
-        columns = [name for name in COUNTS if any(info.get(name, "") != "" for _, _, _, info in members)]
-        heads = ["what", "best ms", "median ms", "relative", *(COUNTS[name][0] for name in columns)]
-        terminalreporter.write_line(f"| {' | '.join(heads)} |")
-        terminalreporter.write_line("|" + len(heads) * "---|")
-        for what, _, best, info in sorted(members, key=lambda row: (math.isnan(row[2]), row[2])):
-            times = [_time(1e3 * best), _time(1e3 * info["median"]), _time(best / unit)]
-            cells = [what, *times, *(_cell(info.get(name), COUNTS[name][1]) for name in columns)]
-            terminalreporter.write_line(f"| {' | '.join(cells)} |")
+        lines += ["", f"## {group}", "", *_table([row for row in rows if row[1] == group])]
+    for line in lines:
+        terminalreporter.write_line(line)
+    if config.getoption("--write-tables"):
+        text = README.read_text(encoding="utf-8")
+        before, after = text[: text.index(BEGIN) + len(BEGIN)], text[text.index(END) :]
+        README.write_text(before + "\n".join([*lines, ""]) + after, encoding="utf-8")
+
+
+def machine() -> str:
+    """Say on what it was timed."""
+    processor = next((line.split(":")[1].strip() for line in _processor() if line.startswith("model name")), "")
+    versions = ", ".join(
+        f"{name} {version(name)}" for name in ("numpy", "scipy", "casadi", "opencv-contrib-python-headless")
+    )
+    cores = f"{os.cpu_count()} cores{f' ({processor})' if processor else ''}"
+    return f"{platform.system()} on {platform.machine()}, {cores}; Python {platform.python_version()}, {versions}."
+
+
+def _processor() -> list[str]:
+    described = Path("/proc/cpuinfo")
+    return described.read_text(encoding="utf-8").splitlines() if described.exists() else []
+
+
+def _table(members: list[tuple[str, str, float, dict[str, Any]]]) -> list[str]:
+    fastest = min((row[2] for row in members if not math.isnan(row[2])), default=math.nan)
+    unit = next((best for what, _, best, _ in members if what in UNITS_OF_TIME), fastest)
+    columns = [name for name in COUNTS if any(info.get(name, "") != "" for _, _, _, info in members)]
+    heads = ["what", "best ms", "median ms", "relative", *(COUNTS[name][0] for name in columns)]
+    lines = [f"| {' | '.join(heads)} |", "|" + len(heads) * "---|"]
+    for what, _, best, info in sorted(members, key=lambda row: (math.isnan(row[2]), row[2])):
+        times = [_time(1e3 * best), _time(1e3 * info["median"]), _time(best / unit)]
+        cells = [what, *times, *(_cell(info.get(name), COUNTS[name][1]) for name in columns)]
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
 
 
 def _time(value: float) -> str:
