@@ -184,6 +184,30 @@ def test_arc_fraction_sums_several_gaps_and_shrugs_at_repeated_points():
     assert conic.arc_fraction(coefficients(ellipse), points) == pytest.approx(2.5 / (2 * np.pi), abs=1e-9)
 
 
+@pytest.mark.parametrize("turn", [0.0, 0.3, 1.1, 2.0, 2.9])
+def test_arc_fraction_of_a_gap_of_three_spacings_is_not_left_to_rounding(turn):
+    angles = np.delete(2 * np.pi * np.arange(60) / 60 + 0.01, [20, 21, 44, 45])
+    many = [(3.0 + 10 * turn, -2.0, size, size, turn) for size in (0.7, 1.3, 2.9, 31.0)]
+    many += [(3.0, -2.0, 2.0, 1.9, turn)]
+    for ellipse in many:
+        assert conic.arc_fraction(coefficients(ellipse), on_ellipse(ellipse, angles)) == 1
+    one_more = np.delete(angles, 20)
+    assert conic.arc_fraction(coefficients(many[0]), on_ellipse(many[0], one_more)) == pytest.approx(1 - 4 / 60)
+
+
+def test_arc_fraction_of_rows_filled_up_with_their_own_points():
+    ellipse = (1.0, 2.0, 3.0, 1.1, 0.4)
+    rng = np.random.default_rng(0)
+    rows = [on_ellipse(ellipse, rng.uniform(0, 5, n)) for n in (12, 17, 30, 9)]
+    filled = np.stack([row[np.arange(30) % len(row)] for row in rows])
+    together = conic.arc_fraction(coefficients(ellipse), filled, [len(row) for row in rows])
+    alone = [conic.arc_fraction(coefficients(ellipse), row) for row in rows]
+    np.testing.assert_allclose(together, alone, rtol=1e-12)
+    assert len(set(together)) == len(rows)
+    with pytest.raises(InputError, match="4 points given"):
+        conic.arc_fraction(coefficients(ellipse), filled, [12, 4, 30, 9])
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [

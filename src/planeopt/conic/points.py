@@ -13,6 +13,9 @@ GAP_IN_SPACINGS = 3.0
 SPACING_QUANTILE = 0.8
 """Quantile of the gaps, the widest left aside, that is called the typical spacing."""
 
+# Relative. Of evenly spaced points with two missing the gap is three spacings, but for rounding, which must not decide.
+_TIE = 1e-6
+
 # Longest arc, rad, whose length is taken by a rule; SciPy's integral takes twenty times as long.
 _SHORT = 0.2
 
@@ -83,7 +86,7 @@ def eccentric_angles(B: ArrayLike, points: ArrayLike) -> FloatArray:
     return np.arctan2(across, along)
 
 
-def arc_fraction(B: ArrayLike, points: ArrayLike) -> FloatArray:
+def arc_fraction(B: ArrayLike, points: ArrayLike, counts: ArrayLike | None = None) -> FloatArray:
     """Return the fraction, shape (...), of the ellipse in eccentric angle that the points cover.
 
     Neighbouring points cover what lies between them unless the gap is wider than three typical spacings, measured both
@@ -92,19 +95,30 @@ def arc_fraction(B: ArrayLike, points: ArrayLike) -> FloatArray:
     missing stretches do not move it, and points placed at random lose about 5 %. Points that reach all round give 1;
     five points on one arc give the arc between the first and the last.
 
+    Parameters
+    ----------
+    B : (..., 5) array
+        Ellipses.
+    points : (..., N, 2) array
+        Points.
+    counts : (...) array of int, optional
+        How many of them count, where rows were filled up by repeating some of their points; all unless given.
+
     Raises
     ------
     InputError
         A conic is not a real ellipse, or there are fewer than 5 points.
     """
     points = as_points(points)
-    if points.shape[-2] < 5:
-        raise InputError(f"{points.shape[-2]} points given; 5 are needed to say how much of an ellipse they cover")
+    own = np.asarray(points.shape[-2] if counts is None else counts, dtype=int)
+    fewest = int(np.min(own, initial=points.shape[-2]))
+    if fewest < 5:
+        raise InputError(f"{fewest} points given; 5 are needed to say how much of an ellipse they cover")
     angles = np.sort(eccentric_angles(B, points), axis=-1)
     gaps = np.empty_like(angles)
     np.subtract(angles[..., 1:], angles[..., :-1], out=gaps[..., :-1])
     gaps[..., -1] = angles[..., 0] + 2 * np.pi - angles[..., -1]
-    wide = _is_wide(gaps)
+    wide = _is_wide(gaps, own)
     covered = np.ones(wide.shape[:-1])
     # Where no gap is wide in angle, lengths do not matter.
     some = np.any(wide, axis=-1)
@@ -112,16 +126,25 @@ def arc_fraction(B: ArrayLike, points: ArrayLike) -> FloatArray:
         return covered
     semi_axes = np.broadcast_to(geometric_from_conic(B).semi_axes, (*some.shape, 2))[some]
     begin, gap = angles[some], gaps[some]
-    uncovered = wide[some] & _is_wide(_arc_lengths(begin, gap, 1 - (semi_axes[:, 1:] / semi_axes[:, :1]) ** 2))
+    lengths = _arc_lengths(begin, gap, 1 - (semi_axes[:, 1:] / semi_axes[:, :1]) ** 2)
+    uncovered = wide[some] & _is_wide(lengths, np.broadcast_to(own, some.shape)[some])
     covered[some] = 1 - np.sum(np.where(uncovered, gap, 0.0), axis=-1) / (2 * np.pi)
     return covered
 
 
-def _is_wide(gaps: FloatArray) -> np.ndarray:
-    """Tell gaps (..., N) wider than some typical ones; the widest is left aside for the quantile."""
-    rank = int(SPACING_QUANTILE * (gaps.shape[-1] - 2))
-    typical = np.partition(gaps, rank, axis=-1)[..., rank, None]
-    return gaps > GAP_IN_SPACINGS * typical
+def _is_wide(gaps: FloatArray, counts: np.ndarray) -> np.ndarray:
+    """Tell gaps (..., N) wider than some typical ones; the widest is left aside for the quantile.
+
+    Points in excess of counts, (...) or one for all, are repeated: their gaps are zero, and the first in order.
+    """
+    ranks = gaps.shape[-1] - counts + (SPACING_QUANTILE * (counts - 2)).astype(int)
+    places = np.unique(ranks)
+    if len(places) == 1:
+        typical = np.partition(gaps, places[0], axis=-1)[..., places[0], None]
+    else:
+        ranks = np.broadcast_to(ranks, gaps.shape[:-1])
+        typical = np.take_along_axis(np.sort(gaps, axis=-1), ranks[..., None], axis=-1)
+    return gaps > GAP_IN_SPACINGS * (1 + _TIE) * typical
 
 
 def _arc_lengths(begin: FloatArray, gap: FloatArray, modulus: FloatArray) -> FloatArray:

@@ -76,11 +76,14 @@ def _flat_noise(noise: ArrayLike | None, lead: tuple[int, ...], n: int) -> tuple
             f"points; its shape is {given.shape}"
         ) from None
     if full:
-        asymmetry = np.abs(given[..., 0, 1] - given[..., 1, 0])
-        if np.any(asymmetry > SYMMETRY_TOLERANCE * np.abs(given[..., 0, 0] + given[..., 1, 1])):
+        with np.errstate(over="ignore", invalid="ignore"):  # of infinite ones, refused set by set
+            asymmetry = np.abs(given[..., 0, 1] - given[..., 1, 0])
+            skew = np.any(asymmetry > SYMMETRY_TOLERANCE * np.abs(given[..., 0, 0] + given[..., 1, 1]))
+        if skew:
             raise InputError("the points' covariances must be symmetric")
         return parts[0], parts[1], parts[2]
-    variance = np.where(parts[0] > 0, parts[0] ** 2, np.nan)
+    with np.errstate(over="ignore"):
+        variance = np.where(parts[0] > 0, parts[0] ** 2, np.nan)
     return variance, np.zeros_like(variance), variance
 
 
@@ -111,8 +114,10 @@ def prepare(points: ArrayLike, noise: ArrayLike | None) -> tuple[Sample, np.ndar
     x = array.reshape(-1, n, 2)
     cxx, cxy, cyy = _flat_noise(noise, lead, n)
     verdict = np.zeros(len(x), dtype=int)
-    # NaN compares false, so that it is refused here too.
-    positive = (cxx > 0) & (cyy > 0) & (cxx * cyy - cxy * cxy > 4 * EPS * cxx * cyy) & np.isfinite(cxx + cyy)
+    # NaN compares false, so that it is refused here too; so is what is too large to be multiplied.
+    with np.errstate(over="ignore", invalid="ignore"):
+        product = cxx * cyy
+        positive = (cxx > 0) & (cyy > 0) & (product - cxy * cxy > 4 * EPS * product) & np.isfinite(cxx + cyy)
     verdict[~np.all(positive, axis=-1)] = Verdict.BAD_NOISE
     verdict[~np.all(np.isfinite(x), axis=(-1, -2))] = Verdict.NOT_FINITE
     sample = replace_unusable(_localise(x, cxx, cxy, cyy, verdict == 0), verdict != 0)
