@@ -14,13 +14,14 @@ from hypothesis import strategies as st
 
 from planeopt.errors import InputError
 from planeopt.spot import NoSpotReason, Spot, SpotFlag, SpotNotFound, read_image, read_points, write_points
+from planeopt.spot.points import SIGMAS
 
 FIVE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.5, 1.5]])
 VALID: dict[str, Any] = {"points": FIVE}
 ROWS = "1,2\n3,4\n5,6\n7,8\n9,1\n"
 
 numbers = st.floats(allow_nan=False, allow_infinity=False)
-sigmas = st.floats(min_value=0, exclude_min=True, allow_infinity=False)
+sigmas = st.floats(*SIGMAS)
 
 
 @settings(derandomize=True, max_examples=40, deadline=None)
@@ -67,6 +68,7 @@ def test_points_as_other_programs_write_them(tmp_path: Path) -> None:
         (b"x_px,y_px\n1,-inf\n", "line 2: y_px must be finite, not -inf"),
         (b"x_px,y_px,sigma_px\n1,2,0\n", "line 2: sigma_px must be positive, not 0"),
         (b"x_px,y_px,sigma_px\n1,2,-0.1\n", "line 2: sigma_px must be positive, not -0.1"),
+        (b"x_px,y_px,sigma_px\n1,2,1e200\n", "line 2: sigma_px must be from 1e-30 to 1e.30, not 1e200"),
         (b"x_px,y_px\n1,2\n3,4\n5,6\n7,8\n", "at least 5 boundary points, the file has 4"),
         (b"x_px,y_px\n", "at least 5 boundary points, the file has 0"),
         (b"x_px,y_px\n1,\xff\n", "not a text file in UTF-8"),
@@ -136,6 +138,7 @@ def test_damaged_images_are_one_line_and_silent(tmp_path: Path, capfd: pytest.Ca
         ({"points": "abc"}, "points must be numbers"),
         ({"sigma": [1, 1, 1]}, "one value for each of the 5 points"),
         ({"sigma": [1, 1, 0, 1, 1]}, "sigma must be positive, but is .* at point 2"),
+        ({"sigma": [1, 1, 1e200, 1, 1]}, r"sigma must be from 1e-30 to 1e\+30 px, but is 1e\+200 at point 2"),
         ({"sigma": math.inf}, "sigma must be finite"),
         ({"kind": "square"}, 'kind must be "disc" or "ring"'),
         ({"arc_fraction": 1.5}, "arc_fraction must be between 0 and 1"),

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from planeopt.errors import InputError
 from planeopt.spot.headers import coding_of
-from planeopt.spot.points import MIN_POINTS, Spot, SpotFlag
+from planeopt.spot.points import MIN_POINTS, SIGMAS, Spot, SpotFlag
 from planeopt.whole_files import write_text
 
 _log = logging.getLogger(__name__)
@@ -234,4 +234,6 @@ def _number(cell: str, name: str, where: str) -> float:
         raise InputError(f"{where}: {name} must be finite, not {cell}")
     if name == "sigma_px" and value <= 0:
         raise InputError(f"{where}: sigma_px must be positive, not {cell}")
+    if name == "sigma_px" and not SIGMAS[0] <= value <= SIGMAS[1]:
+        raise InputError(f"{where}: sigma_px must be from {SIGMAS[0]:g} to {SIGMAS[1]:g}, not {cell}")
     return value

@@ -15,6 +15,9 @@ Kind = Literal["disc", "ring"]
 MIN_POINTS = 5
 """An ellipse has five parameters."""
 
+SIGMAS = (1e-30, 1e30)
+"""px: beyond, products of variances are no numbers."""
+
 
 class SpotFlag(Enum):
     """Something that a reader of the result should know; the value says it."""
@@ -130,7 +133,7 @@ class Spot:
     Raises
     ------
     InputError
-        If a shape does not fit, a number is not finite, or a sigma is not positive.
+        If a shape does not fit, a number is not finite, or a sigma is not positive or not within `SIGMAS`.
     """
 
     points: NDArray[np.float64]
@@ -164,6 +167,10 @@ class Spot:
                 )
             if not np.all(sigma > 0):
                 raise InputError(f"spot: sigma must be positive, but is {sigma.min():g} at point {int(sigma.argmin())}")
+            beyond = np.flatnonzero((sigma < SIGMAS[0]) | (sigma > SIGMAS[1]))
+            if len(beyond):
+                limits = f"from {SIGMAS[0]:g} to {SIGMAS[1]:g} px"
+                raise InputError(f"spot: sigma must be {limits}, but is {sigma[beyond[0]]:g} at point {beyond[0]}")
             object.__setattr__(self, "sigma", sigma)
         if self.kind not in (None, "disc", "ring"):
             raise InputError(f'spot: kind must be "disc" or "ring", not {self.kind!r}')
