@@ -14,6 +14,7 @@ from planeopt.plane import SpotPose
 from planeopt.rig import Beam, Camera, Rig
 from planeopt.solution import Flag, Status
 from planeopt.spot import Spot, SpotFlag
+from planeopt.spot.points import SIGMAS
 from test_rig_uncertainty import covariance
 
 SIGMA = 0.05
@@ -122,6 +123,45 @@ def test_points_that_are_no_spot_cost_themselves() -> None:
     np.testing.assert_allclose(batch.planes[0], batch.planes[-1], rtol=1e-9)
     assert Status.CONVERGED not in batch.status[1:3]
     assert len([row.message for row in batch]) == len(stray) + 2
+
+
+@pytest.mark.parametrize("robust", [0, -1, np.nan, np.inf])
+def test_no_degrees_of_freedom_are_refused(robust: float) -> None:
+    with pytest.raises(InputError, match="robust must be a positive number"):
+        po.solve_batch([], rig(), robust=robust)
+
+
+def test_spots_may_come_one_by_one() -> None:
+    given, used = spots()[:3], rig()
+    np.testing.assert_array_equal(po.solve_batch(iter(given), used).planes, po.solve_batch(given, used).planes)
+
+
+@pytest.mark.parametrize("robust", [None, 4.0])
+@pytest.mark.parametrize("limit", SIGMAS)
+def test_the_largest_and_the_smallest_sigmas_cost_themselves(limit: float, robust: float | None) -> None:
+    rng, used = np.random.default_rng(0), rig()
+    good, other = spot(rng, 40), spot(rng, 40)
+    batch = po.solve_batch([good, replace(other, sigma=np.full(40, limit))], used, robust=robust)
+    np.testing.assert_allclose(batch.planes[0], po.solve_batch([good], used, robust=robust).planes[0], rtol=1e-9)
+    if limit > 1:
+        assert "lie on a straight line (within their noise)" in batch.message[1]
+
+
+def test_spots_of_other_lengths_do_not_change_a_spot() -> None:
+    """Padding counts for nothing: alone, and among longer ones, a spot's numbers are the same to rounding."""
+    rng, used = np.random.default_rng(6), rig()
+    given = [spot(rng, n) for n in (40, 43, 47, 49)]
+    given = [replace(s, points=s.points[:-9], sigma=np.full(len(s) - 9, SIGMA)) for s in given]
+    batch = po.solve_batch(given, used)
+    for i, one in enumerate(given):
+        alone = po.solve_batch([one], used)
+        assert (batch.status[i], batch.flags[i]) == (alone.status[0], alone.flags[0])
+        for name in ("planes", "covariance", "plane_by_rig", "chi2_points", "arc_fraction", "fineness"):
+            ours, theirs = getattr(batch, name)[i], getattr(alone, name)[0]
+            # Sums over the points carry half the digits of what they tell.
+            np.testing.assert_allclose(ours, theirs, rtol=1e-8, atol=1e-8 * np.abs(theirs).max())
+        assert batch.chi2[i] == pytest.approx(alone.chi2[0], rel=1e-8, abs=1e-8)
+        assert batch.arc_fraction[i] < 1
 
 
 def test_no_spots_no_planes() -> None:

@@ -163,6 +163,19 @@ def test_exact_points_give_the_exact_plane() -> None:
         np.testing.assert_allclose(found.planes[0], TRUTH, rtol=1e-9)
 
 
+@pytest.mark.parametrize("size", [1e200, 1e150, 1e-200])
+@pytest.mark.parametrize("as_variance", [False, True])
+def test_noise_beyond_numbers_costs_its_row(size: float, as_variance: bool) -> None:
+    points, noise = noisy(2, 30), np.full((2, 30), SIGMA)
+    given = noise[..., None, None] ** 2 * np.eye(2) if as_variance else noise
+    right = solve_points(points, given, WORKED_SETUP).planes[0]
+    given[1] = size * np.eye(2) if as_variance else size
+    found = solve_points(points, given, WORKED_SETUP)
+    np.testing.assert_allclose(found.planes[0], right, rtol=1e-9)
+    if not (as_variance and size == 1e150):
+        assert found.status[1] is Status.UNUSABLE
+
+
 def test_five_points_need_a_sigma() -> None:
     points = noisy(1, 5)
     with_sigma, without = solve_points(points, SIGMA, WORKED_SETUP), solve_points(points, None, WORKED_SETUP)
@@ -237,6 +250,7 @@ def test_students_t_is_honest_for_its_own_noise(known: bool) -> None:
         (np.zeros((5, 2)), 1.0, {}, "points must have shape"),
         (np.zeros((2, 6, 2)), np.ones(3), {}, "noise must be one sigma"),
         (np.zeros((2, 6, 2)), 1.0, {"robust": 0.0}, "robust must be"),
+        (np.zeros((2, 6, 2)), 1.0, {"robust": np.inf}, "robust must be"),
         (np.zeros((2, 6, 2)), 1.0, {"counts": [7, 6]}, "counts must be"),
         (np.zeros((2, 6, 2)), 1.0, {"start": np.zeros(3)}, "start must have shape"),
     ],

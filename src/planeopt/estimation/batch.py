@@ -1,6 +1,6 @@
 """Many spots, one rig: the maximum-likelihood planes in arrays, and a status for each spot."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -17,6 +17,7 @@ from planeopt.estimation.judged import STATUSES, PointsSolution, improbability
 from planeopt.estimation.reservations import reservations, slope_sigmas
 from planeopt.estimation.rig_effect import RigEffect
 from planeopt.estimation.second_order import fineness, misfit_covariance
+from planeopt.estimation.sets import check_robust
 from planeopt.plane import Plane, SpotPose
 from planeopt.rig import Rig
 from planeopt.solution import Flag, RigTest, Solution, Status
@@ -136,7 +137,7 @@ class BatchSolution:
         return evidence.split(self.rig, self.planes[i], self.spot_covariance[i], self.plane_by_rig[i])
 
 
-def solve_batch(spots: Sequence[Spot], rig: Rig, *, robust: float | None = None) -> BatchSolution:
+def solve_batch(spots: Iterable[Spot], rig: Rig, *, robust: float | None = None) -> BatchSolution:
     """Find the planes that many spots lie on, by maximum likelihood.
 
     The same planes as `planeopt.solve` with `planeopt.Reprojection` to a thousandth of a standard deviation, but all
@@ -144,7 +145,7 @@ def solve_batch(spots: Sequence[Spot], rig: Rig, *, robust: float | None = None)
 
     Parameters
     ----------
-    spots : sequence of Spot
+    spots : iterable of Spot
         Boundary points in raw pixels, from `find_spot` or `read_points`, with sigma or without, of any lengths.
     rig : Rig
         With a beam.
@@ -159,9 +160,10 @@ def solve_batch(spots: Sequence[Spot], rig: Rig, *, robust: float | None = None)
     Raises
     ------
     InputError
-        If the rig has no beam, or `robust` is not positive.
+        If the rig has no beam, or `robust` is not positive and finite.
     """
-    beam = rig.require_beam()
+    check_robust(robust)
+    spots, beam = list(spots), rig.require_beam()
     setup = eq.Setup(rig.focal_length, *rig.laser_offset, beam.radius)
     solved = solve_spots(spots, rig, setup, robust)
     found, effect = solved.points, solved.effect
@@ -236,7 +238,9 @@ def _refusal(spot: Spot, rig: Rig) -> str:
     try:
         mm, jacobian = rig.to_laser_plane(spot.points)
         sigma = np.ones(len(spot)) if spot.sigma is None else spot.sigma
-        fit_conic(mm, jacobian @ np.swapaxes(jacobian, 1, 2) * (sigma**2)[:, None, None])
+        with np.errstate(over="ignore"):  # which is what may be wrong
+            noise = jacobian @ np.swapaxes(jacobian, 1, 2) * (sigma**2)[:, None, None]
+        fit_conic(mm, noise)
     except InputError as reason:
         return str(reason)
     return ""

@@ -182,13 +182,15 @@ def _covariances(sight: Sight, sigma: Array) -> Array:
     """Covariances (M, N, 2, 2) on the laser-parallel image plane, mm^2, of pixels with sigmas (M, N)."""
     xu, xv, yu, yv = sight.by_pixel
     made = np.empty((3, *sigma.shape))
+    # What is too large for a number is no noise, and says so by its row's status.
     part = np.empty(sigma.shape)
     for to, one, other in ((made[0], (xu, xv), (xu, xv)), (made[1], (xu, xv), (yu, yv)), (made[2], (yu, yv), (yu, yv))):
         np.multiply(one[0], other[0], out=to)
         np.multiply(one[1], other[1], out=part)
         to += part
-    np.multiply(sigma, sigma, out=part)
-    made *= part
+    with np.errstate(over="ignore"):
+        np.multiply(sigma, sigma, out=part)
+        made *= part
     # Element (i, j) is part i + j: each is there once.
     step, *others = made.strides
     view = as_strided(made, (2, 2, *sigma.shape), (step, step, *others), writeable=False)
@@ -234,15 +236,14 @@ def _feet(planes: Array, cloud: Cloud, given: Sets) -> Array:
 
 
 def _arcs(planes: Array, x: Array, y: Array, counts: NDArray[np.int64], images: Images) -> Array:
-    """Fractions (M,) of the planes' ellipses that the points cover; spots with as many points go together."""
+    """Fractions (M,) of the planes' ellipses that the points cover, of rows filled up with their own."""
     arcs = np.full(len(planes), np.nan)
-    solved: Bools = np.all(np.isfinite(planes), axis=1)
-    for n in np.unique(counts[solved]):
-        rows = np.flatnonzero(solved & (counts == n))
-        conics = conics_at(images.coordinates(planes[rows], np.zeros((len(rows), 2)))[0])
-        B = conics[:, 1:] / conics[:, :1]
-        # A plane found in points that are no spot's may have an ellipse that rounding opens.
-        closed = np.flatnonzero(is_ellipse(B))
-        kept = rows[closed]
-        arcs[kept] = arc_fraction(B[closed], np.moveaxis(np.stack([x[kept, :n], y[kept, :n]]), 0, -1))
+    rows = np.flatnonzero(np.all(np.isfinite(planes), axis=1))
+    conics = conics_at(images.coordinates(planes[rows], np.zeros((len(rows), 2)))[0])
+    B = conics[:, 1:] / conics[:, :1]
+    # A plane found in points that are no spot's may have an ellipse that rounding opens.
+    closed = np.flatnonzero(is_ellipse(B))
+    kept = rows[closed]
+    if len(kept):
+        arcs[kept] = arc_fraction(B[closed], np.moveaxis(np.stack([x[kept], y[kept]]), 0, -1), counts[kept])
     return arcs

@@ -76,13 +76,13 @@ def solve_points(
     Raises
     ------
     InputError
-        If a shape does not fit, or `robust` is not positive.
+        If a shape does not fit, or `robust` is not positive and finite.
     """
     given = Sets.of(points, noise, setup, counts, start, robust, scale_known)
     keep_memory()
     found = blank(len(given.counts), given.counts)
     for rows, _ in alike(given.counts, CHUNK):
-        put(found, rows, solve_piece(given.take(rows)).solution)
+        put(found, rows, solve_piece(given.take(rows).filled()).solution)
     return found
 
 
@@ -134,24 +134,24 @@ class Piece:
 
 
 def solve_piece(given: Sets) -> Piece:
-    """Solve rows of nearly the same length, some ten thousand points: quickly where they are regular."""
+    """Solve rows filled up to one length, some ten thousand points: quickly where they are regular."""
     m, n = given.points.shape[:2]
     found, nan = blank(m, given.counts), np.full(m, np.nan)
     none = Piece(blank(m, given.counts), None, None, np.zeros(m, dtype=bool), np.ones(m), nan)
     if n < MIN_POINTS:
         return none
-    given = given.filled()
-    usable = given.usable()
-    if not np.any(usable):
-        return none
     with np.errstate(all="ignore"):  # of rows that are not usable
+        usable = given.usable()
+        if not np.any(usable):
+            return none
         factor, typical = given.floor()
     if given.robust is not None or n < FEW or np.isfinite(given.start).any():
         rows = np.flatnonzero(usable)
         put(found, rows, _solve_rows(given if len(rows) == m else given.take(rows).filled()))
         return replace(none, solution=found, sigma=typical)
     used = None if np.all(given.counts == n) else np.arange(n) < given.counts[:, None]
-    cloud = Cloud.of(given.points, given.noise, factor, used)
+    with np.errstate(all="ignore"):
+        cloud = Cloud.of(given.points, given.noise, factor, used)
     fast = search(cloud, given.setup, given.counts, given.known)
     judged = _of_regular(fast, replace(given, factor=factor))
     put(found, np.arange(m), judged)
