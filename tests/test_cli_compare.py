@@ -104,7 +104,7 @@ def test_simulated_spots_are_summarised_and_repeat(tmp_path: Path, capsys: pytes
     assert [row["method"] for row in summary] == ["Constrained + Sqp", "Penalty + Ipopt", "ClosedForm"]
     assert [row["statuses_ok"] for row in summary] == ["3", "0", "3"]
     assert float(summary[0]["error_over_bound_rms"]) > 0
-    assert summary[1]["error_over_bound_rms"] == ""
+    assert {summary[1][key] for key in ("error_over_bound_rms", "evaluations", "solve_ms")} == {""}
     timeless = [
         [{key: value for key, value in row.items() if key[-3:] != "_ms"} for row in one.rows()] for one in (made, again)
     ]

@@ -4,46 +4,41 @@ import inspect
 import json
 import math
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pytest
+import scipy.stats
 
-from cases import WORKED_SETUP
-from example_rig import TARGETS, example_rig, points_file, pose_at, seen, spot_of
+from example_rig import example_rig, pose_at, seen, spot_of
 from planeopt import equations as eq
-from planeopt.accuracy import Score, Truth, error_of, read_truth, truth_beside
+from planeopt.accuracy import Score, Truth
 from planeopt.comparison import (
     Comparison,
     InBound,
     Pooled,
     Root,
     compare,
-    compare_file,
-    compare_files,
     compare_problem,
     nearest_root,
 )
+from planeopt.comparison.rows import EFFORT
 from planeopt.comparison.simulated import boundary, simulated_spot, worked_example
 from planeopt.errors import InputError
 from planeopt.estimation import solve
-from planeopt.estimation.starts import from_closed_form
-from planeopt.formulations import ClosedForm, Constrained, EitherSide, Elastic, LeastSquares, Problem
-from planeopt.formulations.bounds import FARTHEST, STEEPEST
+from planeopt.formulations import ClosedForm, Constrained, EitherSide, LeastSquares, Problem
 from planeopt.methods import EVERY, FORMULATIONS, METHODS, SOLVERS, Method, methods_named
 from planeopt.nlp import Nlp
 from planeopt.plane import SpotPose
 from planeopt.solution import Status
-from planeopt.solvers import Found, Ipopt, Penalised, Solver, Sqp, Swift, plugin
+from planeopt.solvers import Found, Sqp, Swift
 from planeopt.spot import Spot
 from problems import noisy
 
 TRUE_POSE = pose_at()
 SQP = (Method(Constrained(), Sqp()), Method(LeastSquares(), Sqp()), Method(ClosedForm()))
 DRAWS = 40
-PAPERS_START = (10.0, 250.0, math.radians(20), math.radians(20))
 
 
 def truth() -> Truth:
@@ -102,12 +97,18 @@ def test_pairs_that_do_not_suit_say_why(comparison: Comparison):
             assert row.error is row.error_in_bound is row.from_closed_form is None
             assert not row.residuals
             assert (row.build_s, row.solve_s) == (0, 0)
+            assert row.took is None
+            assert {row.to_dict()[key] for key in EFFORT} == {None}
     messages = {row.method: row.solution.message for row in comparison.rows}
     assert "10 equations, 4 unknowns, laser block rank 1" in messages["AsPrinted"]
     assert "63 unknowns" in messages["Reprojection + Swift"]
     assert "no equation to penalise" in messages["LeastSquares + Ipopt(penalty)"]
     assert "6 equations for 9 unknowns" in messages["Constrained + Ipopt(penalty)"]
     assert "10 hard equations" in messages["Penalty + Ipopt"]
+    # Medians are over searches: nothing in place of zeros, which would read as for nothing.
+    medians = {entry.method: (entry.evaluations, entry.total_ms) for entry in comparison.summary}
+    assert medians["AsPrinted"] == (None, None)
+    assert None not in medians["Constrained + Ipopt"]
 
 
 def test_rows_are_json_with_the_residual_of_each_equation(comparison: Comparison):
@@ -286,6 +287,9 @@ def test_a_summary_is_made_of_its_rows(many: Comparison):
     image = [r.value for row in rows for r in row.residuals if r.equation == "(21)"]
     assert summary.residuals["(21) mm^2"] == pytest.approx(np.sqrt(np.mean(np.square(image))), rel=1e-12)
     assert Pooled.of([]) is None
+    one = Pooled.of([row.error_in_bound for row in rows[:1] if row.error_in_bound])
+    assert one is not None
+    assert one.median == pytest.approx(one.rms * math.sqrt(3 / scipy.stats.chi2.median(3)), rel=1e-12)
 
 
 def test_one_bad_spot_costs_itself_and_an_executor_changes_nothing_but_times():
@@ -306,6 +310,16 @@ def test_one_bad_spot_costs_itself_and_an_executor_changes_nothing_but_times():
 
 def _timeless(comparison: Comparison) -> list[dict[str, Any]]:
     return [{key: value for key, value in row.items() if key[-3:] != "_ms"} for row in comparison.to_dicts()]
+
+
+def test_coverage_of_the_reported_depth_sigma(many: Comparison):
+    rig, pose = worked_example()
+    true = Truth(pose, rig.plane_from_pose(pose))
+    scores = [Score.of(case.name, case.rows[0].solution, true) for case in many.cases]
+    standardised = [score.depth_sigmas or 0.0 for score in scores if score is not None]
+    assert len(standardised) == DRAWS
+    # The mean of the squared standardised error of independent draws has the deviation sqrt(2/n); four of them.
+    assert np.mean(np.square(standardised)) == pytest.approx(1.0, abs=4 * math.sqrt(2 / DRAWS))
 
 
 @pytest.mark.parametrize(
@@ -333,226 +347,3 @@ def test_methods_by_name():
     ]
     with pytest.raises(InputError, match="there is no solver 'Newton'"):
         methods_named(["LeastSquares + Newton"])
-
-
-# --- Fairness ---------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Spy:
-    """A solver that keeps what it is given."""
-
-    solver: Solver
-    seen: list[Nlp] = field(default_factory=list)
-
-    @property
-    def name(self) -> str:
-        return self.solver.name
-
-    def prepare(self, nlp: Nlp) -> None:
-        self.solver.prepare(nlp)
-
-    def solve(self, nlp: Nlp) -> Found:
-        self.seen.append(nlp)
-        return self.solver.solve(nlp)
-
-
-@pytest.mark.parametrize("start", [None, PAPERS_START])
-def test_all_searches_begin_at_one_plane_within_the_same_bounds_and_scales(start: tuple[float, ...] | None):
-    problem = noisy(1, n=20)
-    # A gross error in B_3: alone, Elastic would begin from the best plane of the other four.
-    problem = replace(problem, B=problem.B + np.array([0, 0, 0.3, 0, 0]))
-    spies = [Spy(Penalised()) for _ in FORMULATIONS]
-    methods = [Method(f, spy) for f, spy in zip(FORMULATIONS.values(), spies, strict=True)]
-    case = compare_problem(problem, methods, start=start, builds=False)
-    assert case.start is not None
-    R, z_L, r = case.start.R, case.start.plane[0], problem.setup.r
-    programmes = [nlp for spy in spies for nlp in spy.seen]
-    assert len(programmes) == len(FORMULATIONS) - 2
-    for nlp in programmes:
-        name = nlp.model.name
-        np.testing.assert_allclose(nlp.plane(nlp.start), case.start.plane, rtol=1e-12, err_msg=name)
-        if "R" not in nlp.model.variables:
-            continue
-        assert nlp.model.variables[:2] == ("R", "z_L")
-        assert nlp.start[0] == R, name
-        np.testing.assert_array_equal(nlp.x_scale[:4], [r, z_L, 1, 1], err_msg=name)
-        np.testing.assert_array_equal(nlp.lower[:2], [0, 0], err_msg=name)
-        np.testing.assert_allclose(nlp.upper[:2], [r / np.cos(STEEPEST), FARTHEST * r], err_msg=name)
-        tilt = nlp.upper[2] if "alpha" in nlp.model.variables else np.arctan(nlp.upper[2])
-        assert tilt == pytest.approx(STEEPEST, rel=1e-12), name
-
-
-@pytest.mark.parametrize(
-    "outside", [(1.01 * FARTHEST, 0.0, 0.0), (1.0, 1.01 * np.tan(STEEPEST), 0.0), (-1.0, 0.0, 0.0)]
-)
-def test_what_bounds_the_unknowns_of_others_is_a_row_of_reprojection(outside: tuple[float, float, float]):
-    problem = noisy(1, n=20)
-    start = from_closed_form(problem)
-    nlp = FORMULATIONS["Reprojection"].build(problem, start)
-    assert isinstance(nlp, Nlp)
-    z_L, p, q = outside
-    # Its pose is the start's and a triangle times the last three unknowns.
-    unit = np.asarray(nlp.model.plane_and_jacobian(nlp.start, nlp.parameters)[1])[:, -3:]
-    away = np.linalg.solve(unit, np.array([z_L * problem.setup.r, p, q]) - start.plane)
-    x = np.append(np.zeros(20), away).astype(np.float64)
-    np.testing.assert_allclose(nlp.plane(x), [z_L * problem.setup.r, p, q], rtol=1e-6, atol=1e-6)
-    assert np.min(np.asarray(nlp.model.values(x, nlp.parameters)[1])) < 0
-    inside = np.asarray(nlp.model.values(nlp.start, nlp.parameters)[1])
-    assert np.min(inside) > 0
-
-
-@pytest.mark.parametrize("name", ["Constrained", "LeastSquares", "Elastic"])
-def test_what_the_solvers_evaluate_is_the_model_s_own_function(name: str):
-    """IPOPT's objective and rows, in its scaled unknowns, and SWIFT's kernel, at one point away from the start."""
-    problem = noisy(1, n=20)
-    nlp = FORMULATIONS[name].build(problem, from_closed_form(problem))
-    assert isinstance(nlp, Nlp)
-    x = nlp.start * 1.01 + 0.01
-    f, g = (np.asarray(value).ravel() for value in nlp.model.values(x, nlp.parameters))
-    solver = plugin.compiled(nlp.model, "ipopt", (("ipopt.print_level", 0), ("ipopt.sb", "yes")))
-    known = np.concatenate([nlp.parameters, nlp.x_scale])
-    objective, rows = (np.asarray(solver.get_function(n)(x / nlp.x_scale, known)).ravel() for n in ("nlp_f", "nlp_g"))
-    np.testing.assert_allclose(objective, f, rtol=1e-12)
-    np.testing.assert_allclose(rows, g, rtol=1e-9, atol=1e-9)
-    penalised = nlp.penalised(10.0)
-    kernel, left = (np.asarray(value).ravel() for value in penalised.model.values(x, penalised.parameters))
-    equal = nlp.model.equalities
-    np.testing.assert_allclose(kernel, f + 10 * np.sum(g[equal] ** 2), rtol=1e-12)
-    np.testing.assert_allclose(left, g[~equal], rtol=1e-12)
-
-
-def test_a_method_is_built_once_for_any_number_of_problems(monkeypatch: pytest.MonkeyPatch):
-    built: list[str] = []
-    build = plugin._build  # pyright: ignore[reportPrivateUsage] - counted here
-
-    def counting(model: Any, name: str, *rest: Any) -> Any:
-        built.append(f"{model.name} {name}")
-        return build(model, name, *rest)
-
-    monkeypatch.setattr(plugin, "_build", counting)
-    # Tolerances of their own, so that no other test has built these.
-    methods = [Method(Constrained(), Sqp(tol=1.1e-8)), Method(Constrained(), Ipopt(tol=1.1e-8))]
-    problems = [noisy(seed, n=20) for seed in range(4)]
-    rows = compare(problems, methods=methods, repeats=2).rows
-    # Once to be used, and once from nothing to find out what that takes.
-    assert sorted(built) == sorted(2 * ["constrained_slopes sqpmethod", "constrained_slopes ipopt"])
-    assert len({row.build_s for row in rows if row.solver == "Sqp"}) == 1
-    assert all(row.build_s > 0 for row in rows)
-    assert len(rows) == 8
-
-
-def test_same_start_is_used_for_all_and_wild_ones_are_told_apart():
-    methods = (Method(Constrained(), Ipopt()), Method(LeastSquares(), Ipopt()))
-    near = compare(spot_of(TRUE_POSE), example_rig(), methods=methods)
-    far = compare(spot_of(TRUE_POSE), example_rig(), methods=methods, start=PAPERS_START)
-    for warm, cold in zip(near.rows, far.rows, strict=True):
-        assert cold.solution.effort.iterations > warm.solution.effort.iterations
-    assert far.rows[0].root is Root.VISIBLE
-
-
-def test_elastic_alone_still_begins_where_four_equations_agree():
-    problem = noisy(1, n=20)
-    problem = replace(problem, B=problem.B + np.array([0, 0, 0.3, 0, 0]))
-    start = from_closed_form(problem)
-    moved, held = (Elastic().build(problem, replace(start, held=held)) for held in (False, True))
-    assert np.max(np.abs(moved.plane(moved.start) - start.plane)) > 1e-3
-    np.testing.assert_allclose(held.plane(held.start), start.plane, rtol=1e-12)
-
-
-# --- Simulated points -------------------------------------------------------------------------------------------------
-
-
-def test_simulated_points_lie_on_the_image_of_the_spot():
-    rig, pose = worked_example()
-    points, _ = rig.to_laser_plane(boundary(rig, pose, 12))
-    b = np.array(eq.image_conic(np, eq.PaperVariables(pose.R, pose.z_L, pose.alpha, pose.beta), WORKED_SETUP))
-    x, y = points.T
-    terms = b[:, None] * np.stack([x * x, x * y, y * y, x, y, np.ones(12)])
-    assert np.max(np.abs(terms.sum(axis=0)) / np.abs(terms).max(axis=0)) < 1e-9
-
-
-def test_simulated_noise_is_as_it_says_and_repeats():
-    rig, pose = worked_example()
-    spot, again, other = (simulated_spot(rig, pose, n=2000, noise_px=0.3, seed=seed) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(spot.points, again.points)
-    assert np.any(spot.points != other.points)
-    # 4,000 numbers: their standard deviation is known to 1.1 %; four of that.
-    assert np.std(spot.points - boundary(rig, pose, 2000)) == pytest.approx(0.3, rel=0.045)
-    for n, noise_px in ((4, 0.3), (20, 0.0), (20, math.nan)):
-        with pytest.raises(InputError):
-            simulated_spot(rig, pose, n=n, noise_px=noise_px, seed=1)
-    behind = SpotPose.canonical(pose.R, 5.0, pose.alpha, pose.beta)
-    with pytest.raises(InputError, match="does not see"):
-        boundary(rig, behind, 12)
-
-
-# --- Files and the truth ----------------------------------------------------------------------------------------------
-
-
-def test_file_without_a_pose_has_a_record_and_no_comparison(tmp_path: Path):
-    good, missing = str(points_file(tmp_path)), str(tmp_path / "none.png")
-    absent, found = compare_files([missing, good], example_rig(), methods=SQP)
-    assert absent.record.status == "error"
-    assert absent.comparison is None
-    assert found.comparison is not None
-    assert [case.name for case in found.comparison.cases] == [good]
-
-
-def test_truth_is_found_beside_the_file_and_a_bad_one_is_an_error(tmp_path: Path):
-    path = points_file(tmp_path)
-    assert truth_beside(path) is None
-    beside = path.with_suffix(".json")
-    beside.write_text(TARGETS[0].with_suffix(".json").read_text())
-    found = truth_beside(path)
-    assert found is not None
-    assert found.pose.alpha == pytest.approx(math.radians(2.0), abs=1e-12)
-    beside.write_text('{"z_L_mm": 1}')
-    result = compare_file(str(path), example_rig())
-    assert result.record.status == "error"
-    assert "alpha_deg" in result.record.message
-
-
-@pytest.mark.parametrize("text", ["", "[]", '{"z_L_mm": "far"}'])
-def test_what_is_no_truth_is_refused(tmp_path: Path, text: str):
-    path = tmp_path / "t.json"
-    path.write_text(text)
-    with pytest.raises(InputError, match="not the true pose"):
-        read_truth(path)
-
-
-def test_untilted_truth_has_no_beta(tmp_path: Path):
-    record = json.loads(TARGETS[0].with_suffix(".json").read_text()) | {"alpha_deg": 0.0, "beta_deg": None}
-    path = tmp_path / "t.json"
-    path.write_text(json.dumps(record))
-    assert read_truth(path).pose.beta is None
-
-
-def test_score_splits_the_normals_error_along_and_across_the_tilt():
-    rig = example_rig()
-    measured = SpotPose.canonical(
-        TRUE_POSE.R, TRUE_POSE.z_L + 0.1, TRUE_POSE.alpha + 3e-4, (TRUE_POSE.beta or 0) - 4e-4
-    )
-    score = Score("a", measured, rig.plane_from_pose(measured), None, truth())
-    along, across = score.along[0], score.across[0]
-    assert along == pytest.approx(3e-4, rel=1e-9)
-    # Pythagoras on the sphere, to the second order of 5e-4.
-    assert math.hypot(along, across) == pytest.approx(score.error.normal, rel=1e-3)
-    assert score.error.depth == pytest.approx(0.1, rel=1e-9)
-    assert score.depth_sigmas is None
-
-
-def test_error_of_a_refused_solution_is_none():
-    refused = solve(spot_of(TRUE_POSE), example_rig(), formulation=METHODS[-1].formulation)
-    assert error_of(refused, truth()) is None
-    assert Score.of("a", refused, truth()) is None
-
-
-def test_coverage_of_the_reported_depth_sigma(many: Comparison):
-    rig, pose = worked_example()
-    true = Truth(pose, rig.plane_from_pose(pose))
-    scores = [Score.of(case.name, case.rows[0].solution, true) for case in many.cases]
-    standardised = [score.depth_sigmas or 0.0 for score in scores if score is not None]
-    assert len(standardised) == DRAWS
-    # The mean of the squared standardised error of independent draws has the deviation sqrt(2/n); four of them.
-    assert np.mean(np.square(standardised)) == pytest.approx(1.0, abs=4 * math.sqrt(2 / DRAWS))

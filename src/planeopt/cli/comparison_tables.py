@@ -85,7 +85,10 @@ def print_summary(console: "Console", summary: Sequence["Summary"], problems: in
     _print(console, f"{problems} inputs: how they ended, and near which plane the searches did", rows, counts)
     _reasons(console, [(entry.method, _failure(entry)) for entry in summary if entry.reason is not None])
     for title, key in (
-        ("error over the Cramér-Rao bound, pooled over inputs and (z_L, p, q)", "error_over_bound"),
+        (
+            "error over the Cramér-Rao bound, pooled over inputs and (z_L, p, q); median over chi(3)'s",
+            "error_over_bound",
+        ),
         ("difference from the closed form, likewise", "closed_form_over_bound"),
     ):
         _print(console, title, [{**row, **row[key]} for row in rows if row[key] is not None], _POOLED)

@@ -26,6 +26,7 @@ class RowRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     `root` is the plane near which the search ended, also where its answer was refused: visible, other (the second exact
     solution) or elsewhere. `residuals` are the ten equations there, left minus right, by number and unit.
     `error_over_bound` and `closed_form_over_bound` are pooled over (z_L, p, q): 1 in the mean of squares at the bound.
+    What a search took has no values where none was begun.
     """
 
     method: str
@@ -50,13 +51,13 @@ class RowRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     error_in_bound_sigmas: InSigmas | None
     chi2: float | None
     p_value: float | None
-    iterations: int
-    evaluations: int
-    first_derivatives: int
-    second_derivatives: int
-    build_ms: float
-    solve_ms: float
-    total_ms: float
+    iterations: int | None
+    evaluations: int | None
+    first_derivatives: int | None
+    second_derivatives: int | None
+    build_ms: float | None
+    solve_ms: float | None
+    total_ms: float | None
     residuals: dict[str, float | None]
 
 
@@ -122,13 +123,13 @@ class SummaryRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     reason: str | None
     error_over_bound: PooledRecord | None
     closed_form_over_bound: PooledRecord | None
-    iterations: float
-    evaluations: float
-    first_derivatives: float
-    second_derivatives: float
-    build_ms: float
-    solve_ms: float
-    total_ms: float
+    iterations: float | None
+    evaluations: float | None
+    first_derivatives: float | None
+    second_derivatives: float | None
+    build_ms: float | None
+    solve_ms: float | None
+    total_ms: float | None
     residuals: dict[str, float]
 
 

@@ -22,6 +22,17 @@ NEAR = 0.1
 """Two planes count as the same root where the angle between their normals (rad) plus their relative difference in depth
 is below this: far above noise and the bias of any formulation, far below the usual distance between the two roots."""
 
+EFFORT = (
+    "iterations",
+    "evaluations",
+    "first_derivatives",
+    "second_derivatives",
+    "build_ms",
+    "solve_ms",
+    "total_ms",
+)
+"""What a search took, by the keys of a row; without values where none was begun."""
+
 
 class Root(Enum):
     """Which of the two exact solutions of the ten equations a search ended near; the value says it."""
@@ -115,9 +126,19 @@ class Row:
         """Seconds for the search, its polish and the check of the optimality conditions; of a direct answer, for it."""
         return self.solution.effort.solve_s
 
+    @property
+    def took(self) -> dict[str, float] | None:
+        """What the search took, by the names in `EFFORT`; None where none was begun."""
+        if self.solution.end is None:
+            return None
+        effort = self.solution.effort
+        counts = (effort.iterations, effort.evaluations, effort.first_derivatives, effort.second_derivatives)
+        times = (1e3 * self.build_s, 1e3 * self.solve_s, 1e3 * self.seconds)
+        return dict(zip(EFFORT, (*counts, *times), strict=True))
+
     def to_dict(self) -> dict[str, Any]:
         """Return the row as plain JSON values: mm, degrees, milliseconds; None where there is no value."""
-        solution, effort = self.solution, self.solution.effort
+        solution = self.solution
         pose = None if solution.status.record == "refused" else solution.pose
         sigma = None if pose is None else solution.sigma
         return {
@@ -141,13 +162,7 @@ class Row:
             **_in_bound("error_in_bound_sigmas", self.error_in_bound),
             "chi2": finite(solution.chi2),
             "p_value": finite(solution.p_value),
-            "iterations": effort.iterations,
-            "evaluations": effort.evaluations,
-            "first_derivatives": effort.first_derivatives,
-            "second_derivatives": effort.second_derivatives,
-            "build_ms": 1e3 * self.build_s,
-            "solve_ms": 1e3 * self.solve_s,
-            "total_ms": 1e3 * self.seconds,
+            **(self.took or dict.fromkeys(EFFORT)),
             "residuals": {f"{r.equation} {r.unit}": finite(r.value) for r in self.residuals},
         }
 

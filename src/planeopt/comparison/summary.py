@@ -10,7 +10,7 @@ import numpy as np
 import scipy.stats
 
 from planeopt.comparison.problem import Case
-from planeopt.comparison.rows import InBound, Root, Row
+from planeopt.comparison.rows import EFFORT, InBound, Root, Row
 
 
 @dataclass(frozen=True)
@@ -87,10 +87,10 @@ class Summary:
         Against the truth, over the bound, of all answers (ok and degraded).
     from_closed_form : Pooled or None
         Against the closed form, likewise.
-    iterations, evaluations, first_derivatives, second_derivatives : float
-        Medians.
-    build_ms, solve_ms, total_ms : float
-        Medians.
+    iterations, evaluations, first_derivatives, second_derivatives : float or None
+        Medians over the searches; None where every problem was refused before one began.
+    build_ms, solve_ms, total_ms : float or None
+        Likewise.
     residuals : mapping of str to float
         Root mean square of each of the ten equations, by number and unit, where the searches ended.
     """
@@ -105,13 +105,13 @@ class Summary:
     reason: str | None
     error: Pooled | None
     from_closed_form: Pooled | None
-    iterations: float
-    evaluations: float
-    first_derivatives: float
-    second_derivatives: float
-    build_ms: float
-    solve_ms: float
-    total_ms: float
+    iterations: float | None
+    evaluations: float | None
+    first_derivatives: float | None
+    second_derivatives: float | None
+    build_ms: float | None
+    solve_ms: float | None
+    total_ms: float | None
     residuals: Mapping[str, float]
 
     @property
@@ -156,7 +156,10 @@ def _summary(name: str, rows: Sequence[Row]) -> Summary:
     statuses = Counter(row.solution.status.record for row in rows)
     roots = Counter(row.root for row in rows)
     failed = next((row for row in rows if row.solution.status.record == "refused"), None)
-    efforts = [row.solution.effort for row in rows]
+    took = [row.took for row in rows if row.took is not None]
+    iterations, evaluations, first, second, build, solve, total = (
+        _median([row[key] for row in took]) for key in EFFORT
+    )
     equations = dict.fromkeys(f"{r.equation} {r.unit}" for row in rows for r in row.residuals)
     values = {
         equation: [r.value for row in rows for r in row.residuals if f"{r.equation} {r.unit}" == equation]
@@ -173,13 +176,13 @@ def _summary(name: str, rows: Sequence[Row]) -> Summary:
         None if failed is None else failed.solution.message,
         Pooled.of([row.error_in_bound for row in rows if row.error_in_bound is not None]),
         Pooled.of([row.from_closed_form_in_bound for row in rows if row.from_closed_form_in_bound is not None]),
-        _median([effort.iterations for effort in efforts]),
-        _median([effort.evaluations for effort in efforts]),
-        _median([effort.first_derivatives for effort in efforts]),
-        _median([effort.second_derivatives for effort in efforts]),
-        1e3 * _median([row.build_s for row in rows]),
-        1e3 * _median([row.solve_s for row in rows]),
-        1e3 * _median([row.seconds for row in rows]),
+        iterations,
+        evaluations,
+        first,
+        second,
+        build,
+        solve,
+        total,
         {equation: _rms([value for value in those if math.isfinite(value)]) for equation, those in values.items()},
     )
 
@@ -188,5 +191,5 @@ def _rms(values: Sequence[float]) -> float:
     return math.sqrt(sum(value**2 for value in values) / len(values)) if values else 0.0
 
 
-def _median(values: Sequence[float]) -> float:
-    return float(np.median(values))
+def _median(values: Sequence[float]) -> float | None:
+    return float(np.median(values)) if values else None

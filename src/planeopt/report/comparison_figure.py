@@ -204,9 +204,9 @@ def _draw_times(axes: Axes, summary: Sequence[Summary]) -> None:
     _scatter(axes, kinds)
 
 
-def _scatter(axes: Axes, kinds: Sequence[tuple[str, str, str, list[float]]]) -> None:
+def _scatter(axes: Axes, kinds: Sequence[tuple[str, str, str, list[float | None]]]) -> None:
     for size, (label, marker, colour, values) in zip((4.5, 7.0, 5.0), kinds, strict=False):
-        shown = [(value, place) for place, value in enumerate(values) if value > 0 and math.isfinite(value)]
+        shown = [(value, place) for place, value in enumerate(values) if value and math.isfinite(value)]
         if shown:
             x, y = zip(*shown, strict=True)
             face = "none" if marker == "s" else colour

@@ -58,8 +58,8 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     sigma_normal_deg: float | None
     root: str | None
     chi2: float | None
-    iterations: int
-    evaluations: int
+    iterations: int | None
+    evaluations: int | None
 
 
 class ReportRecord(PoseRecord, frozen=True, kw_only=True, forbid_unknown_fields=True):
