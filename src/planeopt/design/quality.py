@@ -163,7 +163,8 @@ class Points:
     def __post_init__(self) -> None:
         _positive("sigma_px", self.sigma_px)
         if not 5 <= self.count <= 10**9:
-            raise InputError(f"an ellipse needs at least 5 points, not {self.count}")
+            limit = "needs at least 5" if self.count < 5 else "is given at most 1,000,000,000"
+            raise InputError(f"an ellipse {limit} points, not {self.count}")
         _check_arc(self.arc, self.arc_deg)
 
     def at(self, stretch: Array, length: Array) -> "EdgeNoise":
