@@ -9,19 +9,26 @@ The ten equations have two exact solutions; an opaque plane shows only the one w
    form, ever end on the plane behind? How often does one without it, from a random start?
 """
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
+from pathlib import Path
 
-from studies.basins_example import run_example
+from studies.basins_example import EndRow, run_example
 from studies.basins_figures import depths_figure, shares_figure, tilts_figure
 from studies.basins_finding import finding, headline
-from studies.basins_rigs import run_rigs
+from studies.basins_rigs import RigRow, run_rigs
 from studies.basins_summary import example_shares, rig_shares
-from studies.study import Mode, Result
+from studies.study import Mode, Result, read_rows, rounded
 
 
 def run(mode: Mode, executor: Executor | None = None) -> Result:
     """Answer both questions."""
-    ends, rigs = run_example(mode, executor), run_rigs(mode, executor)
+    return result_of(run_example(mode, executor), run_rigs(mode, executor))
+
+
+def result_of(ends: Sequence[EndRow], rigs: Sequence[RigRow]) -> Result:
+    """Count, draw and put into words what was searched."""
+    ends, rigs = rounded(ends), rounded(rigs)
     shares, of_rigs = example_shares(ends), rig_shares(rigs)
     said, numbers = headline(ends, shares, of_rigs)
     return Result(
@@ -35,3 +42,8 @@ def run(mode: Mode, executor: Executor | None = None) -> Result:
         },
         numbers=numbers,
     )
+
+
+def from_tables(folder: Path) -> Result:
+    """Return the words and figures of tables that were written."""
+    return result_of(read_rows(folder / "ends.csv", EndRow), read_rows(folder / "rigs.csv", RigRow))

@@ -15,6 +15,7 @@
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from pathlib import Path
 
 from studies.calibration_accuracy import AccuracyRow, run_accuracy
 from studies.calibration_accuracy_figures import accuracy_figure, cost_figure
@@ -26,7 +27,7 @@ from studies.calibration_numbers import headline, numbers
 from studies.calibration_repeats import DrawRow, run_repeats
 from studies.calibration_sessions import SessionRow, run_sessions
 from studies.calibration_summary import finding, summarised
-from studies.study import Mode, Result, rounded
+from studies.study import Mode, Result, read_rows, rounded
 
 
 @dataclass(frozen=True)
@@ -95,4 +96,15 @@ def result_of(
             "models": models_figure(models, summaries, sessions),
         },
         numbers=said,
+    )
+
+
+def from_tables(folder: Path) -> Result:
+    """Return the words and figures of tables that were written."""
+    return result_of(
+        read_rows(folder / "sessions.csv", SessionRow),
+        read_rows(folder / "images.csv", ImageRow),
+        read_rows(folder / "draws.csv", DrawRow),
+        read_rows(folder / "accuracy.csv", AccuracyRow),
+        read_rows(folder / "models.csv", ModelRow),
     )

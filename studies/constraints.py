@@ -10,7 +10,7 @@
 """
 
 from concurrent.futures import Executor
-from dataclasses import fields
+from pathlib import Path
 
 from studies.constraints_culprit import culprit_rows
 from studies.constraints_estimates import estimate_rows, triple_rows
@@ -18,7 +18,7 @@ from studies.constraints_figures import culprits_figure, estimates_figure, ranks
 from studies.constraints_ranks import edge_rows, free_rows, rank_rows
 from studies.constraints_subsets import subset_rows
 from studies.constraints_summary import Tables, finding, headline, numbers
-from studies.study import Mode, Result, rounded
+from studies.study import Mode, Result, named, read_tables, rounded_tables
 
 
 def run(mode: Mode, executor: Executor | None = None) -> Result:
@@ -38,10 +38,10 @@ def run(mode: Mode, executor: Executor | None = None) -> Result:
 
 def result_of(tables: Tables) -> Result:
     """Draw and put into words what was found."""
-    tables = Tables(*(rounded(getattr(tables, field.name)) for field in fields(Tables)))
+    tables = rounded_tables(tables)
     said = numbers(tables)
     return Result(
-        tables={field.name: getattr(tables, field.name) for field in fields(Tables)},
+        tables=named(tables),
         headline=headline(said),
         finding=finding(tables, said),
         figures={
@@ -52,3 +52,8 @@ def result_of(tables: Tables) -> Result:
         },
         numbers=said,
     )
+
+
+def from_tables(folder: Path) -> Result:
+    """Return the words and figures of tables that were written."""
+    return result_of(read_tables(folder, Tables))

@@ -18,6 +18,7 @@ and noise in both directions makes every boundary longer.
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from pathlib import Path
 
 from studies.coverage_checks import Checks
 from studies.coverage_figures import coverage_figure, rank_figure, rig_figure
@@ -25,7 +26,7 @@ from studies.coverage_images import ImageRow, run_images
 from studies.coverage_points import SetRow, run_points
 from studies.coverage_rig import WrongRigRow, run_wrong_rig
 from studies.coverage_summary import IMAGES, POINTS, finding, groups_of, headline, judge, numbers
-from studies.study import Mode, Result, rounded
+from studies.study import Mode, Result, read_rows, rounded
 
 
 @dataclass(frozen=True)
@@ -68,4 +69,13 @@ def result_of(points: Sequence[SetRow], images: Sequence[ImageRow], wrong_rig: S
             "wrong_rig": rig_figure(wrong_rig, coverage),
         },
         numbers=said,
+    )
+
+
+def from_tables(folder: Path) -> Result:
+    """Return the words and figures of tables that were written."""
+    return result_of(
+        read_rows(folder / "sets.csv", SetRow),
+        read_rows(folder / "images.csv", ImageRow),
+        read_rows(folder / "wrong_rig.csv", WrongRigRow),
     )

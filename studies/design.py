@@ -10,12 +10,13 @@
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from pathlib import Path
 
 from studies.design_cells import DrawRow, ImageRow, SweepRow, run_draws, run_images, sweeps
 from studies.design_figures import checks_figure, offsets_figure, sweeps_figure
 from studies.design_laws import HumpRow, LawRow, OffsetRow, humps, laws, offsets
 from studies.design_summary import checks, finding, headline, numbers
-from studies.study import Mode, Result, rounded
+from studies.study import Mode, Result, read_rows, rounded
 
 
 def run(mode: Mode, executor: Executor | None = None) -> Result:
@@ -71,4 +72,16 @@ def result_of(
             "checks": checks_figure(draws, images, of_checks),
         },
         numbers=said,
+    )
+
+
+def from_tables(folder: Path) -> Result:
+    """Return the words and figures of tables that were written."""
+    return result_of(
+        read_rows(folder / "sweeps.csv", SweepRow),
+        read_rows(folder / "laws.csv", LawRow),
+        read_rows(folder / "humps.csv", HumpRow),
+        read_rows(folder / "offsets.csv", OffsetRow),
+        read_rows(folder / "draws.csv", DrawRow),
+        read_rows(folder / "images.csv", ImageRow),
     )

@@ -13,6 +13,7 @@
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from pathlib import Path
 
 from studies import efficiency_summary as grid
 from studies import efficiency_sweep_summary as sweeps
@@ -22,7 +23,7 @@ from studies.efficiency_figure import efficiency_figure
 from studies.efficiency_fits import FitRow, run_fits
 from studies.efficiency_formulations import FormulationRow, run_formulations
 from studies.efficiency_sweep_figures import fits_figure, formulations_figure
-from studies.study import Mode, Result, rounded
+from studies.study import Mode, Result, read_rows, rounded
 
 
 def run(mode: Mode, executor: Executor | None = None) -> Result:
@@ -63,6 +64,16 @@ def result_of(
             "formulations": formulations_figure(formulations, sweeps.formulations_heading(formulations)),
         },
         numbers=said,
+    )
+
+
+def from_tables(folder: Path) -> Result:
+    """Return the words and figures of tables that were written."""
+    return result_of(
+        read_rows(folder / "cells.csv", CellRow),
+        read_rows(folder / "fits.csv", FitRow),
+        read_rows(folder / "formulations.csv", FormulationRow),
+        read_rows(folder / "examples.csv", ExampleRow),
     )
 
 

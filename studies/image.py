@@ -14,6 +14,7 @@
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from pathlib import Path
 
 from studies.image_cells import CellRow, cells_of, run_cells
 from studies.image_figures import boundary_figure, pose_figure
@@ -22,7 +23,7 @@ from studies.image_poses import HARD, Job, PoseRow, run_poses
 from studies.image_summary import cases_of, finding, headline, honesty_of, numbers
 from studies.image_sweep_figure import sweep_figure
 from studies.image_sweeps import SweepRow, run_sweeps
-from studies.study import Mode, Result, rounded
+from studies.study import Mode, Result, read_rows, rounded
 
 _IMAGES = {"full": (400, 200, 60), "quick": (6, 1, 1)}
 """Plain ones, of each hard case, and with each fault."""
@@ -69,4 +70,14 @@ def result_of(
             "poses": pose_figure(poses),
         },
         numbers=said,
+    )
+
+
+def from_tables(folder: Path) -> Result:
+    """Return the words and figures of tables that were written."""
+    return result_of(
+        read_rows(folder / "cells.csv", CellRow),
+        read_rows(folder / "sweeps.csv", SweepRow),
+        read_rows(folder / "poses.csv", PoseRow),
+        read_rows(folder / "flags.csv", FlagRow),
     )

@@ -10,6 +10,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from pathlib import Path
 
 import scipy.stats
 from matplotlib.figure import Figure
@@ -18,7 +19,7 @@ from planeopt.estimation.drift import LEVEL
 from studies.many_images_cells import NOISE_PX, CheckRow, CombineRow, run_checks, run_frames
 from studies.statistics import LEVEL as FAMILY
 from studies.statistics import binomial_limits
-from studies.study import Mode, Result, rounded
+from studies.study import Mode, Result, read_rows, rounded
 from studies.style import DARK, FAINT, LIGHT, RED, figure
 
 
@@ -38,6 +39,11 @@ def result_of(frames: Sequence[CombineRow], checks: Sequence[CheckRow]) -> Resul
         figures={"many_images": _figure(frames, checks)},
         numbers=said,
     )
+
+
+def from_tables(folder: Path) -> Result:
+    """Return the words and figures of tables that were written."""
+    return result_of(read_rows(folder / "frames.csv", CombineRow), read_rows(folder / "checks.csv", CheckRow))
 
 
 def faults(frames: Sequence[CombineRow], checks: Sequence[CheckRow]) -> list[str]:

@@ -9,7 +9,7 @@
 """
 
 from concurrent.futures import Executor
-from dataclasses import fields
+from pathlib import Path
 
 from planeopt.reproduction.results import compute
 from studies import paper_rows as rows
@@ -18,7 +18,7 @@ from studies.paper_readings import read_all
 from studies.paper_repeats import repeat
 from studies.paper_rows import Tables
 from studies.paper_summary import finding, headline, numbers
-from studies.study import Mode, Result, rounded
+from studies.study import Mode, Result, named, read_tables, rounded_tables
 
 
 def run(mode: Mode, executor: Executor | None = None) -> Result:
@@ -40,10 +40,10 @@ def run(mode: Mode, executor: Executor | None = None) -> Result:
 
 def result_of(tables: Tables) -> Result:
     """Draw and put into words what was found."""
-    tables = Tables(*(rounded(getattr(tables, field.name)) for field in fields(Tables)))
+    tables = rounded_tables(tables)
     said = numbers(tables)
     return Result(
-        tables={field.name: getattr(tables, field.name) for field in fields(Tables)},
+        tables=named(tables),
         headline=headline(said),
         finding=finding(tables, said),
         figures={
@@ -53,3 +53,8 @@ def result_of(tables: Tables) -> Result:
         },
         numbers=said,
     )
+
+
+def from_tables(folder: Path) -> Result:
+    """Return the words and figures of tables that were written."""
+    return result_of(read_tables(folder, Tables))

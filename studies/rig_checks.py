@@ -9,6 +9,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from pathlib import Path
 
 import scipy.stats
 
@@ -17,7 +18,7 @@ from studies.rig_checks_cells import COMPONENTS, RIGHT, CheckRow, UpdateRow, run
 from studies.rig_checks_figure import Limits, rig_checks_figure
 from studies.statistics import LEVEL as FAMILY
 from studies.statistics import binomial_limits
-from studies.study import Mode, Result, rounded
+from studies.study import Mode, Result, read_rows, rounded
 
 _PARTS = ("pooled", "shift", "rest", "spots")
 
@@ -38,6 +39,11 @@ def result_of(checks: Sequence[CheckRow], updates: Sequence[UpdateRow]) -> Resul
         figures={"rig_checks": rig_checks_figure(checks, updates, limits)},
         numbers=said,
     )
+
+
+def from_tables(folder: Path) -> Result:
+    """Return the words and figures of tables that were written."""
+    return result_of(read_rows(folder / "checks.csv", CheckRow), read_rows(folder / "updates.csv", UpdateRow))
 
 
 def faults(checks: Sequence[CheckRow], updates: Sequence[UpdateRow]) -> list[str]:

@@ -12,12 +12,13 @@ that are read off a clock, here alone, and so they differ from run to run.
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from pathlib import Path
 
 from studies.scaling_figure import scaling_figure
 from studies.scaling_runs import GrowthRow, TimeRow, growth, run_times
 from studies.scaling_summary import finding, headline, numbers
 from studies.scaling_workers import WorkerRow, run_workers
-from studies.study import Mode, Result, rounded
+from studies.study import Mode, Result, read_rows, rounded
 
 
 def run(mode: Mode, executor: Executor | None = None) -> Result:
@@ -38,3 +39,8 @@ def result_of(times: Sequence[TimeRow], workers: Sequence[WorkerRow]) -> Result:
         figures={"scaling": scaling_figure(times, grown, workers)},
         numbers=said,
     )
+
+
+def from_tables(folder: Path) -> Result:
+    """Return the words and figures of tables that were written."""
+    return result_of(read_rows(folder / "times.csv", TimeRow), read_rows(folder / "workers.csv", WorkerRow))

@@ -8,7 +8,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar, get_type_hints
+from types import NoneType
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar, get_args, get_type_hints
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
@@ -73,6 +74,11 @@ class Study(Protocol):
         """Answer the question; the result does not depend on where the executor works."""
         ...
 
+    @staticmethod
+    def from_tables(folder: Path) -> Result:
+        """Return the words and figures of tables that were written, without computing what they hold."""
+        ...
+
 
 def write(result: Result, folder: Path) -> None:
     """Write the tables, the figures and the finding; the same numbers give the same files.
@@ -86,6 +92,11 @@ def write(result: Result, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name, rows in result.tables.items():
         _write_table(folder / f"{name}.csv", rows)
+    write_words(result, folder)
+
+
+def write_words(result: Result, folder: Path) -> None:
+    """Write the headline's numbers, the figures and the finding, but no table that they are made from."""
     if result.numbers:
         _write_table(folder / f"{HEADLINE}.csv", [Number(name, value) for name, value in result.numbers.items()])
     with mpl.rc_context(_SAVED):
@@ -128,6 +139,22 @@ def read_rows(path: Path, kind: type[Row]) -> list[Row]:
         ]
 
 
+def read_tables(folder: Path, kind: type[Instance]) -> Instance:
+    """Return the tables of a folder as a dataclass that has a sequence of rows for each."""
+    hints = get_type_hints(kind)
+    return kind(**{name: read_rows(folder / f"{name}.csv", get_args(hint)[0]) for name, hint in hints.items()})
+
+
+def named(tables: "DataclassInstance") -> dict[str, Sequence[Any]]:
+    """Return the tables of such a dataclass by name."""
+    return dict(_fields(tables))
+
+
+def rounded_tables(tables: Instance) -> Instance:
+    """Return such a dataclass with each of its tables `rounded`."""
+    return dataclasses.replace(tables, **{name: rounded(rows) for name, rows in named(tables).items()})
+
+
 def rounded(rows: Iterable[Instance]) -> list[Instance]:
     """Return rows with the digits that a table holds, so that words made of them are those made of the table."""
     return [dataclasses.replace(row, **{name: _as_told(value) for name, value in _fields(row)}) for row in rows]
@@ -137,9 +164,15 @@ def _as_told(value: object) -> object:
     return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
-def _read(text: str, hint: object) -> object:
+def _read(text: str, hint: Any) -> object:
+    kinds = get_args(hint)
+    if NoneType in kinds:
+        others = [kind for kind in kinds if kind is not NoneType]
+        return _read(text, others[0]) if text else None
     if hint is float:
         return float(text) if text else math.nan
+    if hint is bool:
+        return text == str(True)
     return int(text) if hint is int else text
 
 
@@ -150,5 +183,5 @@ def cell(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _fields(row: "DataclassInstance") -> list[tuple[str, object]]:
+def _fields(row: "DataclassInstance") -> list[tuple[str, Any]]:
     return [(column.name, getattr(row, column.name)) for column in dataclasses.fields(row)]

@@ -11,9 +11,9 @@ All searches of a problem have the same start, bounds, sizes of unknowns and com
 """
 
 from concurrent.futures import Executor
-from dataclasses import fields
+from pathlib import Path
 
-from studies.study import Mode, Result, rounded
+from studies.study import Mode, Result, named, read_tables, rounded, rounded_tables
 from studies.swift_figures import paths_figure, schedules_figure, weights_figure, work_figure
 from studies.swift_paths import accuracies, paths, valley
 from studies.swift_runs import run_all
@@ -30,10 +30,10 @@ def run(mode: Mode, executor: Executor | None = None) -> Result:
 
 def result_of(tables: Tables) -> Result:
     """Draw and put into words what was found."""
-    tables = Tables(*(rounded(getattr(tables, field.name)) for field in fields(Tables)))
+    tables = rounded_tables(tables)
     said = numbers(tables)
     return Result(
-        tables={field.name: getattr(tables, field.name) for field in fields(Tables)},
+        tables=named(tables),
         headline=headline(said),
         finding=finding(tables, said),
         figures={
@@ -44,3 +44,8 @@ def result_of(tables: Tables) -> Result:
         },
         numbers=said,
     )
+
+
+def from_tables(folder: Path) -> Result:
+    """Return the words and figures of tables that were written."""
+    return result_of(read_tables(folder, Tables))
