@@ -71,7 +71,11 @@ def test_the_points_chi_squared_has_its_degrees_of_freedom(problem: Problem) -> 
 
 
 def test_points_that_scatter_more_than_their_sigma_are_flagged() -> None:
-    assert Flag.POINTS_SCATTER in solve_problem(Problem.from_points(noisy(), WORKED_SETUP, SIGMA / 2)).flags
+    solution = solve_problem(Problem.from_points(noisy(), WORKED_SETUP, SIGMA / 2))
+    assert solution.ok
+    assert Flag.POINTS_SCATTER in solution.flags
+    # Such points are no image that agrees with the rig.
+    assert solution.message == f"A plane was found. {Flag.POINTS_SCATTER.value}"
 
 
 @pytest.mark.parametrize(

@@ -266,10 +266,14 @@ def _judged(solution: Solution, problem: Problem, plane: Array, covariance: Arra
             message = f"{Status.LOCAL_MINIMUM.value} ({np.sqrt(excess):.0f} of its standard deviations)"
             return _refused(solution, Status.LOCAL_MINIMUM, message)
     status, message = _verdict(problem, judged, plane, fit, missing)
-    return replace(
-        judged, status=status, message=message, flags=(*judged.flags, *_reservations(problem, judged, plane, fit))
-    )
+    flags = (*judged.flags, *_reservations(problem, judged, plane, fit))
+    if status is Status.CONVERGED and Flag.POINTS_SCATTER in flags:
+        message = _SCATTERED
+    return replace(judged, status=status, message=message, flags=flags)
 
+
+_SCATTERED = f"A plane was found. {Flag.POINTS_SCATTER.value}"
+"""Where chi-squared of the ellipse is that of a right rig but that of the points is not: not that all agrees."""
 
 _UNSEEN = -FEASIBLE
 """Intercept, in radii of the beam, that no solution with the inequality ``c > 0`` can have."""
