@@ -1,7 +1,7 @@
 """The calibration study: its quick form is run and held to what is asked; its full form is read from its tables."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +17,12 @@ from studies.calibration_fits import QUANTITIES, fit_default, independent, joint
 from studies.calibration_images import ImageRow
 from studies.calibration_judged import Judged, judge, pooled
 from studies.calibration_models import BOWED, FLAT, KINDS, OBLIQUE, TANGENTIAL, ModelRow, session_of
-from studies.calibration_numbers import headline, numbers
 from studies.calibration_repeats import DrawRow
 from studies.calibration_sessions import DEFAULT, MODELS, SessionRow
-from studies.calibration_summary import ModelSummary, finding, summarised
+from studies.calibration_summary import summarised
 from studies.statistics import LEVEL
-from studies.study import Result, read_rows, write
+from studies.study import Result, read_rows
+from study_files import written
 
 COMMITTED = RESULTS / "calibration"
 AGREEMENT = 0.15
@@ -71,8 +71,7 @@ def quick() -> Result:
 
 
 def test_the_quick_study(quick: Result, tmp_path: Path) -> None:
-    write(quick, tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in COMMITTED.iterdir()}
+    written(quick, tmp_path, COMMITTED)
     tables = Tables(**{name: quick.tables[name] for name in KINDS_OF_ROWS})  # pyright: ignore[reportArgumentType]
     assert not list(complaints(tables)), "\n".join(complaints(tables))
 
@@ -125,22 +124,6 @@ def test_what_the_full_study_says_of_models(committed: Tables) -> None:
     assert abs(oblique.off_axis_mrad - 5) < 4 * oblique.off_axis_sigma_mrad
     # Places for a bow where there is none cost little.
     assert rows[FLAT, "bow free"].f_relative < 1.3 * rows[FLAT, "taken as flat"].f_relative
-
-
-def test_the_words_are_made_from_the_tables(committed: Tables) -> None:
-    judged = committed.judged
-    words = finding(
-        committed.sessions, committed.images, committed.draws, committed.accuracy, summarised(committed.models), judged
-    )
-    assert words.rstrip() == (COMMITTED / "finding.md").read_text(encoding="utf-8").rstrip()
-    index = " ".join((RESULTS.parent / "README.md").read_text(encoding="utf-8").split())
-    assert headline(numbers(committed.sessions, committed.accuracy, judged)) in index
-    kept = read_rows(COMMITTED / "summaries.csv", ModelSummary)
-    for again, before in zip(summarised(committed.models), kept, strict=True):
-        assert (again.case, again.model, again.worst) == (before.case, before.model, before.worst)
-        # Made from numbers of six digits.
-        first, second = ([value for value in astuple(row) if isinstance(value, float)] for row in (again, before))
-        assert first == pytest.approx(second, rel=1e-4)
 
 
 def test_the_committed_numbers_are_those_of_this_code(committed: Tables, quick: Result) -> None:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -32,28 +31,16 @@ from studies.constraints_ranks import EdgeRow, FreeRow, RankRow, image_derivativ
 from studies.constraints_subsets import CHOICES, STARTS, SubsetRow, also_hold_at
 from studies.constraints_summary import (
     INDEPENDENT,
-    Tables,
     accepted,
     choices,
-    finding,
-    headline,
     independent_form,
     named_percent,
-    numbers,
     singular,
 )
-from studies.study import Result, read_rows, write
+from studies.study import Result, read_rows
+from study_files import written
 
 COMMITTED = RESULTS / "constraints"
-KINDS: dict[str, type[Any]] = {
-    "ranks": RankRow,
-    "edge": EdgeRow,
-    "free": FreeRow,
-    "subsets": SubsetRow,
-    "estimates": EstimateRow,
-    "triples": TripleRow,
-    "culprits": CulpritRow,
-}
 
 
 def complaints(folder: Path) -> Iterator[str]:
@@ -138,18 +125,11 @@ def result() -> Result:
 
 @pytest.fixture(scope="module")
 def folder(result: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the quick form's files are."""
-    made = tmp_path_factory.mktemp("quick")
-    write(result, made)
-    return made
+    return written(result, tmp_path_factory.mktemp("quick"), COMMITTED)
 
 
 def test_the_quick_study(folder: Path) -> None:
     assert not list(complaints(folder))
-
-
-def test_the_full_study_writes_the_same_files(folder: Path) -> None:
-    assert {path.name for path in folder.iterdir()} == {path.name for path in COMMITTED.iterdir()}
 
 
 def test_the_results_as_committed() -> None:
@@ -174,15 +154,6 @@ def _predictions_hold(estimates: list[EstimateRow], triples: list[TripleRow]) ->
             chosen = next(t for t in triples if t.scene == row.scene and ways[row.estimator] in t.chosen.split(", "))
             # One direction may hold all of the error: 1/sqrt(2 N) of it, five times.
             assert row.rms_over_bound == pytest.approx(chosen.predicted_over_bound, rel=5 / np.sqrt(2 * row.draws))
-
-
-def test_the_words_are_those_of_the_committed_tables() -> None:
-    tables = Tables(**{name: read_rows(COMMITTED / f"{name}.csv", kind) for name, kind in KINDS.items()})
-    said = numbers(tables)
-    assert (COMMITTED / "finding.md").read_text(encoding="utf-8") == finding(tables, said) + "\n"
-    index = (RESULTS.parent / "README.md").read_text(encoding="utf-8")
-    shown = index.split("<!-- constraints -->\n")[1].split("<!-- /constraints -->")[0]
-    assert " ".join(shown.split()) == headline(said)
 
 
 def test_estimates_made_again(result: Result) -> None:

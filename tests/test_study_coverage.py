@@ -5,7 +5,7 @@ Its full form is committed in `studies/results/coverage`, and held to the same.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -41,15 +41,13 @@ from studies.coverage_summary import (
     UNCERTAIN,
     CoverageRow,
     RankRow,
-    finding,
     groups_of,
-    headline,
     judge,
-    numbers,
     ranks_of,
 )
 from studies.statistics import LEVEL, binomial_limits, uniform_p
-from studies.study import cell, read_rows, write
+from studies.study import read_rows
+from study_files import written
 
 COMMITTED = RESULTS / "coverage"
 ENOUGH = 50
@@ -86,8 +84,7 @@ def complaints(tables: Tables) -> Iterator[str]:
 
 def test_the_quick_study(tmp_path: Path) -> None:
     result = coverage.run("quick")
-    write(result, tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in COMMITTED.iterdir()}
+    written(result, tmp_path, COMMITTED)
     tables = Tables(**result.tables)  # pyright: ignore[reportArgumentType] - rows of the kinds above
     assert not list(complaints(tables)), "\n".join(complaints(tables))
     assert {row.group for row in tables.coverage} == set(groups_of(tables.sets, tables.images, tables.wrong_rig))
@@ -104,18 +101,6 @@ def test_the_full_study_as_committed(committed: Tables) -> None:
     assert NOISE_PX.low < low < 0.15 < 0.7 < high < NOISE_PX.high
     shares = {(row.group, row.method) for row in committed.coverage}
     assert shares == {(g, m) for g in groups_of([], [], []) for m in ("Laplace", "posterior")}
-
-
-def test_the_words_are_made_from_the_tables(committed: Tables) -> None:
-    words = finding(committed.sets, committed.images, committed.coverage, committed.ranks)
-    assert words.rstrip() == (COMMITTED / "finding.md").read_text(encoding="utf-8").rstrip()
-    again = judge(groups_of(committed.sets, committed.images, committed.wrong_rig))
-    for rows, before in zip(again, (committed.coverage, committed.ranks), strict=True):
-        assert [[cell(value) for value in astuple(row)] for row in rows] == [
-            [cell(value) for value in astuple(row)] for row in before
-        ]
-    index = " ".join((RESULTS.parent / "README.md").read_text(encoding="utf-8").split())
-    assert headline(numbers(committed.sets, committed.images, committed.coverage, committed.ranks)) in index
 
 
 def test_the_committed_numbers_are_those_of_this_code(committed: Tables) -> None:

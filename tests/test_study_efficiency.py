@@ -15,7 +15,7 @@ from planeopt.estimation import solve_points, solve_problem
 from planeopt.formulations import Problem, Reprojection
 from studies import efficiency
 from studies import efficiency_rivals as rivals
-from studies.__main__ import RESULTS, STUDIES
+from studies.__main__ import RESULTS
 from studies.efficiency_cells import (
     ARCS,
     DEPTHS_MM,
@@ -158,16 +158,6 @@ def _alike(found: Sequence[VerdictRow]) -> bool:
         for name in VerdictRow.__dataclass_fields__
         if name != "criterion"
     )
-
-
-def test_the_finding_and_the_index_say_what_the_tables_say() -> None:
-    rows, (fits, formulations, examples) = read_rows(COMMITTED / "cells.csv", CellRow), tables(COMMITTED)
-    words = efficiency.finding(rows, fits, formulations, examples)
-    assert (COMMITTED / "finding.md").read_text(encoding="utf-8") == words + "\n"
-    index = (RESULTS.parent / "README.md").read_text(encoding="utf-8")
-    said = index.split("<!-- efficiency -->\n")[1].split("<!-- /efficiency -->")[0]
-    assert " ".join(said.split()) == efficiency.headline(efficiency.numbers(rows, fits, formulations))
-    assert "efficiency" in STUDIES
 
 
 def test_a_cell_is_measured_again() -> None:

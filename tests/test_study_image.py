@@ -16,10 +16,11 @@ from studies.__main__ import RESULTS
 from studies.image_cells import CellRow, Image, cells_of, measure_image, summary
 from studies.image_flags import FlagRow
 from studies.image_poses import CASES, HARD, Job, PoseRow, measure_pose
-from studies.image_summary import RIGHT, CaseRow, HonestyRow, cases_of, finding, headline, honesty_of, numbers
+from studies.image_summary import RIGHT, CaseRow, HonestyRow, honesty_of
 from studies.image_sweeps import AXES, KINDS, SweepRow
 from studies.statistics import LEVEL
-from studies.study import Mode, read_rows, write
+from studies.study import Mode, read_rows
+from study_files import written
 
 COMMITTED = RESULTS / "image"
 BIAS_PX, BIAS_OVER_PX, OVER_BOUND = 0.02, 0.05, 1.5
@@ -135,8 +136,7 @@ def flags(rows: Sequence[FlagRow]) -> Iterator[str]:
 
 def test_the_quick_study(tmp_path: Path) -> None:
     result = image.run("quick")
-    write(result, tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in COMMITTED.iterdir()}
+    written(result, tmp_path, COMMITTED)
     wrong = complaints(Tables(**result.tables))  # pyright: ignore[reportArgumentType] - rows of the kinds above
     assert not wrong, "\n".join(wrong)
 
@@ -158,16 +158,6 @@ def test_the_full_study_as_committed() -> None:
     for kind in KINDS:
         for axis, more in (("blur_px", True), ("contrast", False), ("speckle", True)):
             assert (ends[axis, AXES[axis][-1], kind] > 1.4 * ends[axis, AXES[axis][0], kind]) is more
-
-
-def test_the_words_are_made_from_the_tables() -> None:
-    tables = committed()
-    words = finding(tables.cells, tables.cases, tables.honesty, tables.flags, tables.sweeps)
-    assert words.rstrip() == (COMMITTED / "finding.md").read_text(encoding="utf-8").rstrip()
-    assert [astuple(row) for row in cases_of(tables.poses)] == [astuple(row) for row in tables.cases]
-    index = (RESULTS.parent / "README.md").read_text(encoding="utf-8")
-    said = headline(numbers(tables.cells, tables.cases, tables.honesty, tables.sweeps))
-    assert said in " ".join(index.split())
 
 
 def test_the_committed_numbers_are_those_of_this_code() -> None:

@@ -36,15 +36,6 @@ def test_what_is_committed_is_within_its_limits_and_shows_what_is_claimed() -> N
     assert all(row.naive > 10 * max(row.degraded, 1e-3) for row in right)
 
 
-def test_the_words_are_made_from_the_tables() -> None:
-    said = many_images.result_of(
-        read_rows(RESULTS / "frames.csv", CombineRow), read_rows(RESULTS / "checks.csv", CheckRow)
-    )
-    assert (RESULTS / "finding.md").read_text(encoding="utf-8") == said.finding + "\n"
-    index = (RESULTS.parent.parent / "README.md").read_text(encoding="utf-8")
-    assert said.headline in " ".join(index.split())
-
-
 def test_a_fault_is_found() -> None:
     frames = read_rows(RESULTS / "frames.csv", CombineRow)
     checks = read_rows(RESULTS / "checks.csv", CheckRow)

@@ -36,11 +36,6 @@ def test_what_is_committed_is_within_its_limits_and_shows_what_is_claimed() -> N
     assert all(row.updates >= 250 for row in updates)
 
 
-def test_the_index_says_what_the_tables_do() -> None:
-    index = " ".join((RESULTS.parents[1] / "README.md").read_text(encoding="utf-8").split())
-    assert rig_checks.headline(rig_checks.numbers(*committed())) in index
-
-
 def test_a_fault_is_found() -> None:
     checks, updates = committed()
     assert any("degraded" in fault for fault in rig_checks.faults([replace(checks[0], degraded=0.1)], updates))

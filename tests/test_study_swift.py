@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from planeopt.solution import RESOLUTION
 from planeopt.solvers import Swift
 from studies import swift
 from studies.__main__ import RESULTS
-from studies.study import Result, read_rows, write
+from studies.study import Result, read_rows
 from studies.swift_paths import PathRow, ValleyRow, WorkRow
 from studies.swift_problems import Case, apart, boundary, problem_of, start_of, truth_of
 from studies.swift_runs import (
@@ -29,29 +28,16 @@ from studies.swift_runs import (
 from studies.swift_summary import (
     EndRow,
     ReachedRow,
-    Tables,
     ends,
     ends_of,
-    finding,
-    headline,
-    numbers,
     reached,
     slope_of_tolerance,
     slope_of_violation,
 )
 from studies.swift_weights import DRAWS, TOLERANCE_WEIGHTS, ToleranceRow, WeightRow
+from study_files import written
 
 COMMITTED = RESULTS / "swift"
-KINDS: dict[str, type[Any]] = {
-    "runs": RunRow,
-    "ends": EndRow,
-    "weights": WeightRow,
-    "tolerances": ToleranceRow,
-    "work": WorkRow,
-    "reached": ReachedRow,
-    "paths": PathRow,
-    "valley": ValleyRow,
-}
 
 
 def complaints(folder: Path) -> Iterator[str]:
@@ -138,18 +124,11 @@ def result() -> Result:
 
 @pytest.fixture(scope="module")
 def folder(result: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the quick form's files are."""
-    made = tmp_path_factory.mktemp("quick")
-    write(result, made)
-    return made
+    return written(result, tmp_path_factory.mktemp("quick"), COMMITTED)
 
 
 def test_the_quick_study(folder: Path) -> None:
     assert not list(complaints(folder))
-
-
-def test_the_full_study_writes_the_same_files(folder: Path) -> None:
-    assert {path.name for path in folder.iterdir()} == {path.name for path in COMMITTED.iterdir()}
 
 
 def test_the_results_as_committed() -> None:
@@ -162,15 +141,6 @@ def test_the_results_as_committed() -> None:
     rising = ends(table, "paper's", "image objective", "Swift", DEFAULT)
     heavy = ends(table, "paper's", "image objective", "Swift", "1e5")
     assert rising.minimiser > heavy.minimiser + rising.searches // 4
-
-
-def test_the_words_are_those_of_the_committed_tables() -> None:
-    tables = Tables(**{name: read_rows(COMMITTED / f"{name}.csv", kind) for name, kind in KINDS.items()})
-    said = numbers(tables)
-    assert (COMMITTED / "finding.md").read_text(encoding="utf-8") == finding(tables, said) + "\n"
-    index = (RESULTS.parent / "README.md").read_text(encoding="utf-8")
-    shown = index.split("<!-- swift -->\n")[1].split("<!-- /swift -->")[0]
-    assert " ".join(shown.split()) == headline(said)
 
 
 def test_a_search_is_made_again(result: Result) -> None:
