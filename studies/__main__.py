@@ -23,6 +23,7 @@ STUDIES = (
     "image",
     "calibration",
     "design",
+    "scaling",
     "many_images",
     "rig_checks",
 )
