@@ -13,7 +13,6 @@ that are read off a clock, here alone, and so they differ from run to run.
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from pathlib import Path
-from pathlib import Path
 
 from studies.scaling_figure import scaling_figure
 from studies.scaling_runs import GrowthRow, TimeRow, growth, run_times
@@ -26,11 +25,6 @@ def run(mode: Mode, executor: Executor | None = None) -> Result:
     """Time everything here: what the executor does would only disturb."""
     del executor
     return result_of(run_times(mode), run_workers(mode))
-
-
-def from_tables(folder: Path) -> Result:
-    """Make the result anew from the tables that are there."""
-    return result_of(read_rows(folder / "times.csv", TimeRow), read_rows(folder / "workers.csv", WorkerRow))
 
 
 def result_of(times: Sequence[TimeRow], workers: Sequence[WorkerRow]) -> Result:
