@@ -129,6 +129,13 @@ def test_compare_goes_on_after_a_bad_input(tmp_path: Path, capsys: pytest.Captur
     assert str(good) in made.out.replace("\n", "")
     assert [len(entry["rows"]) for entry in made.data["inputs"]] == [0, 3]
     assert made.data["inputs"][0]["message"].startswith(str(bad))
+    first, second = made.rows()[:2]
+    assert {key: value for key, value in first.items() if value} == {
+        "input": str(bad),
+        "status": "error",
+        "message": made.data["inputs"][0]["message"],
+    }
+    assert list(second)[:3] == ["input", "method", "formulation"]
     start = {"R_mm": 10, "z_L_mm": 250, "alpha_deg": 20, "beta_deg": 20}
     shift = example_rig().axial_shift  # of the rig's tilted beam: the equations' z_L is the spot centre's
     assert made.data["inputs"][1]["start"] == pytest.approx(start | {"z_L_mm": 250 + shift}, rel=1e-9)
@@ -157,7 +164,10 @@ def test_compare_without_a_spot_is_status_2_and_still_writes(tmp_path: Path, cap
         (["--simulate", "1", "--points", "3"], "at least 5 points"),
         (["--simulate", "1", "--noise-px", "nan"], "positive"),
         (["--simulate", "1", "--start", "nowhere"], "--start"),
-        (["--simulate", "1", "--start", "10,250,95,20"], "alpha"),
+        (["--simulate", "1", "--start", "10,250,95,20"], "alpha below 90 degrees, not '10,250,95,20'"),
+        (["--simulate", "1", "--start", "10,nan,1,1"], "not '10,nan,1,1'"),
+        (["--simulate", "1", "--noise-px", "500", "--points", "9"], "simulated 1: the 9 points lie on"),
+        (["--simulate", "1", "--method", "ClosedForm + Ipopt"], "ClosedForm needs no solver: leave Ipopt out"),
         (["--simulate", "1", "--method", "Newton"], "no formulation 'Newton'"),
         (["--simulate", "1", "--repeats", "0"], "--repeats"),
         (["--simulate", "1", "--jobs", "0"], "--jobs"),

@@ -1,6 +1,6 @@
 """A gross error in one image coefficient: `Elastic` names the equation at fault, and accuses none on clean data."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -10,7 +10,11 @@ from cases import WORKED, Array, random_case, slopes
 from planeopt import equations as eq
 from planeopt.estimation import solve, solve_problem
 from planeopt.formulations import Constrained, Elastic, LeastSquares, Problem
-from planeopt.solution import Status
+from planeopt.nlp import Nlp
+from planeopt.solution import Effort, Status
+from planeopt.solvers import Found
+from planeopt.solvers.base import NO_TRACE
+from planeopt.solvers.kkt import check
 from planeopt.spot import Spot
 from problems import PIXEL, SIGMA, covariance_of, noisy, plane_of
 
@@ -158,3 +162,21 @@ def test_least_squares_spreads_the_error_instead() -> None:
         wrong += solution.worst is None or solution.worst.equation != f"({eq.IMAGE_BLOCK[i].number})"
         assert "At fault" not in solution.message
     assert wrong > 0
+
+
+def test_a_slack_below_zero_is_called_by_its_equation() -> None:
+    @dataclass(frozen=True)
+    class Below:
+        name: str = "Below"
+
+        def prepare(self, nlp: Nlp) -> None:
+            pass
+
+        def solve(self, nlp: Nlp) -> Found:
+            x = nlp.start.copy()
+            x[[nlp.model.variables.index(f"{side}_17") for side in ("above", "below")]] -= 1.0
+            return Found(nlp, x, "stopped", check(nlp, x), Effort(), NO_TRACE)
+
+    solution = solve_problem(noisy(1, n=20), formulation=Elastic(), solver=Below())
+    assert solution.status is Status.INFEASIBLE
+    assert "The slack of (17) is beyond its bound by 1" in solution.message

@@ -99,11 +99,14 @@ def method_named(formulation: str | None, solver: str | None) -> Method:
     Raises
     ------
     InputError
-        If there is no such name; lists those that there are.
+        If there is no such name; lists those that there are. If a solver is named where none is needed.
     """
     chosen = METHODS[0].formulation if formulation is None else _named("formulation", formulation, FORMULATIONS)
     if solver is not None:
-        return Method(chosen, _named("solver", solver, SOLVERS))
+        partner = _named("solver", solver, SOLVERS)
+        if all(method.solver is None for method in METHODS if method.formulation == chosen):
+            raise InputError(f"{chosen.name} needs no solver: leave {partner.name} out")
+        return Method(chosen, partner)
     return next(method for method in METHODS if method.formulation == chosen)
 
 

@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
-from math import radians
+from math import isfinite, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -134,6 +134,8 @@ def _start(text: str) -> tuple[float, ...] | None:
     except ValueError as error:
         wanted = "closed-form, paper, or R,z_L,alpha,beta (mm and degrees)"
         raise InputError(f"--start must be {wanted}, not {text!r}") from error
+    if not all(map(isfinite, (R, z_L, alpha, beta))) or R <= 0 or z_L <= 0 or abs(alpha) >= 90:
+        raise InputError(f"--start needs R and z_L above 0 mm, and alpha below 90 degrees, not {text!r}")
     return R, z_L, radians(alpha), radians(beta)
 
 
@@ -175,7 +177,10 @@ def _of_simulated(
     ]
     names = [f"simulated {i + 1}" for i in range(count)]
     compared = compare(spots, rig, truth=truths, names=names, **options)
-    return [(case, "ok" if case.message is None else "error", case.message or "") for case in compared.cases]
+    return [
+        (case, "ok", "") if case.message is None else (case, "error", f"{case.name}: {case.message}")
+        for case in compared.cases
+    ]
 
 
 def _simulated_planes(inputs: Sequence[str], count: int) -> tuple["Rig", list["Truth"]]:

@@ -158,13 +158,17 @@ def comparison_file(
 
 
 def flat_rows(file: ComparisonFile) -> list[dict[str, Any]]:
-    """Return all rows with their input, nested values in columns of their own, all rows with the same keys."""
-    rows = [
-        {"input": entry.input} | _flat(msgspec.to_builtins(row), _IN_ROWS)
-        for entry in file.inputs
-        for row in entry.rows
-    ]
-    keys = dict.fromkeys(key for row in rows for key in row)
+    """Return all rows with their input, nested values in columns of their own, all rows with the same keys.
+
+    An input without rows has one with nothing but its status and message.
+    """
+    rows: list[dict[str, Any]] = []
+    for entry in file.inputs:
+        of_methods = [_flat(msgspec.to_builtins(row), _IN_ROWS) for row in entry.rows]
+        of_none = {"status": entry.status, "message": entry.message}
+        rows += [{"input": entry.input} | row for row in of_methods or [of_none]]
+    # In the order of rows that have them all.
+    keys = dict.fromkeys(key for row in sorted(rows, key=len, reverse=True) for key in row)
     return [{key: row.get(key) for key in keys} for row in rows]
 
 

@@ -221,6 +221,8 @@ def _worst_row(found: Found) -> str:
     if violation[worst] < found.kkt.feasibility:
         outside = np.maximum(nlp.lower - found.x, found.x - nlp.upper)
         name = nlp.model.variables[int(np.argmax(outside / nlp.x_scale))]
+        equation = name.rpartition("_")[2]
+        name = f"The slack of ({equation})" if equation.isdigit() else name
         return f"{name} is beyond its bound by {outside.max():.3g} ({found.report})."
     equation, size = nlp.model.rows[worst].equation, violation[worst] * nlp.row_scale[worst]
     return f"{equation} is off by {size:.3g} {equation.unit} ({found.report})."
