@@ -152,6 +152,18 @@ def test_the_ratio() -> None:
         assert loop / at_once >= 10, f"{1 / at_once:.0f} and {1 / loop:.0f} planes a second"
 
 
+def test_lengths_do_not_matter() -> None:
+    """Spots of 190 to 208 points, as images give them, cost no more than a third above equally many of 200."""
+    rig = calibrated()
+    longest, counts = seen(rig, MANY, n=208), np.random.default_rng(3).integers(190, 209, MANY)
+    mixed = []
+    for spot, n in zip(longest, counts.tolist(), strict=True):
+        assert spot.sigma is not None
+        mixed.append(Spot(spot.points[:n], spot.sigma[:n]))
+    equal = seen(rig, MANY)
+    assert fastest(lambda: po.solve_batch(mixed, rig)) < 4 / 3 * fastest(lambda: po.solve_batch(equal, rig))
+
+
 def fastest(run: Callable[[], object]) -> float:
     """Processor time of the best of five runs, s."""
     times = []

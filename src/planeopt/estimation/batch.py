@@ -140,8 +140,8 @@ class BatchSolution:
 def solve_batch(spots: Iterable[Spot], rig: Rig, *, robust: float | None = None) -> BatchSolution:
     """Find the planes that many spots lie on, by maximum likelihood.
 
-    The same planes as `planeopt.solve` with `planeopt.Reprojection` to a thousandth of a standard deviation, but all
-    at once; a spot that cannot be solved costs itself and no other.
+    The planes of `planeopt.solve` with `planeopt.Reprojection` to a thousandth of a standard deviation, wherever both
+    find the least sum of squares, but all at once; a spot that cannot be solved costs itself and no other.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Rows = NDArray[np.intp]
 
-CHUNK = 1 << 16
+CHUNK = 1 << 17
 """Points worked on at once: what operations cost beside their arithmetic is shared, and the caches hold the arrays."""
 
 

@@ -29,7 +29,7 @@ from planeopt.spot.points import MIN_POINTS
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-CHUNK = 1 << 16
+CHUNK = 1 << 17
 """Points worked on at once, as in `batch_pieces`."""
 
 # Bytes; less than the 32 MiB at which glibc stops to learn.
@@ -96,13 +96,17 @@ def keep_memory() -> None:
 
 
 def alike(counts: NDArray[np.int64], chunk: int) -> Iterator[tuple[NDArray[np.intp], int]]:
-    """Rows (K,) of nearly the same length and the longest, piece by piece, so that little of a piece is padding."""
+    """Rows (K,) of nearly the same length and the longest, piece by piece, so that little of a piece is padding.
+
+    Pieces have about `chunk` points at most, and where rows are of one length equally many: small ones cost more.
+    """
     order = np.argsort(counts, kind="stable")
     lengths = np.maximum(counts[order], 1)
     begin = 0
     while begin < len(order):
         end = int(np.searchsorted(lengths, _ALIKE * lengths[begin], side="right"))
-        end = min(end, begin + max(1, chunk // int(lengths[end - 1])))
+        pieces = -(-(end - begin) * int(lengths[end - 1]) // chunk)
+        end = begin - (begin - end) // pieces
         yield order[begin:end], int(lengths[end - 1])
         begin = end
 
@@ -134,7 +138,7 @@ class Piece:
 
 
 def solve_piece(given: Sets) -> Piece:
-    """Solve rows filled up to one length, some ten thousand points: quickly where they are regular."""
+    """Solve rows filled up to one length, some hundred thousand points: quickly where they are regular."""
     m, n = given.points.shape[:2]
     found, nan = blank(m, given.counts), np.full(m, np.nan)
     none = Piece(blank(m, given.counts), None, None, np.zeros(m, dtype=bool), np.ones(m), nan)

@@ -17,6 +17,7 @@ from planeopt import equations as eq
 from planeopt.estimation.images import BEAM, SPAN, BeamImages, Images, conics_at
 from planeopt.estimation.regular import Quadratic
 from planeopt.estimation.rig_part import CAMERA, PARAMETERS, SEEN, free_parameters
+from planeopt.estimation.small_systems import lower_solved, upper_solved
 from planeopt.estimation.tangents import Cloud, Tangents, products, tangents
 from planeopt.rig import Rig
 
@@ -165,10 +166,10 @@ class RigDerivatives:
         by_all[:, :, self._places] = SPAN.T @ (sums @ by_beam)
         if camera is not None:
             by_all[:, :, : len(CAMERA)] = SPAN.T @ products(seen.tangents.weighted[:6], camera)
-        triangle = np.linalg.cholesky(seen.quadratic.information[rows])
+        triangle = np.asarray(np.linalg.cholesky(seen.quadratic.information[rows]), dtype=float)
         right = np.concatenate([by_all[rows], seen.quadratic.score[rows, :, None]], axis=2)
         inside = np.swapaxes(triangle, 1, 2) @ seen.by_plane[rows]
-        return self._solved(inside, np.asarray(np.linalg.solve(triangle, right), dtype=float), scale[rows])
+        return self._solved(inside, lower_solved(triangle, right), scale[rows])
 
     def _by_points(
         self, seen: Seen, by_beam: Array, camera: Array | None, scale: Array, rows: NDArray[np.intp]
@@ -189,7 +190,7 @@ class RigDerivatives:
         """From derivatives in an orthonormal basis of what ellipses can change: by plane (M, 5, 3), by all and d."""
         turned, triangle = np.linalg.qr(inside, mode="complete")
         rotated = np.swapaxes(turned, 1, 2) @ right
-        plane_by_rig = -np.asarray(np.linalg.solve(triangle[:, :3], rotated[:, :3, :-1] @ self.free), dtype=float)
+        plane_by_rig = -upper_solved(triangle[:, :3], rotated[:, :3, :-1] @ self.free)
         plane_by_rig[:, 0] -= self._axial_shift
         left_over = rotated[:, 3:] / scale[:, None, None]
         by_all = left_over[..., :-1]

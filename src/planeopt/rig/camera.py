@@ -200,19 +200,17 @@ class Camera:
     def _nearby(
         self, xd: FloatArray, yd: FloatArray
     ) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray, FloatArray], NDArray[np.bool_]]:
-        """Newton's method from two steps of a fixed-point iteration: found at once where the lens distorts little.
+        """Newton's method from the radial part's inverse, nearly: found at once where the lens distorts little.
 
         Returns the points, the distortion's Jacobian there, and which of them are found.
         """
-        k1, k2, p1, p2, k3 = self.distortion
+        k1, k2, _, _, k3 = self.distortion
         r2 = xd * xd + yd * yd
         radial = _polynomial(r2, (1.0, k1, k2, k3))
-        x, y = xd / radial, yd / radial
-        x2, y2, xy = x * x, y * y, x * y
-        r2 = x2 + y2
-        radial = _polynomial(r2, (1.0, k1, k2, k3))
-        x = (xd - 2 * p1 * xy - p2 * (r2 + 2 * x2)) / radial
-        y = (yd - 2 * p2 * xy - p1 * (r2 + 2 * y2)) / radial
+        radial *= radial
+        r2 /= radial
+        np.divide(1.0, _polynomial(r2, (1.0, k1, k2, k3)), out=radial)
+        x, y = xd * radial, yd * radial
         steps, widest2 = 0, min(self.invertible_radius, _WIDEST) ** 2
         while True:
             steps += 1
