@@ -78,7 +78,7 @@ def _maps(ends: Sequence[EndRow], starts: str) -> Figure:
     fixed = "R 10 mm and z_L 250 mm" if starts == TILTS else "R 10 mm and beta 20 deg"
     heading = (
         f"Unless told that the lit side is seen (c > 0) Ipopt goes to the plane behind from {obvious} of these starts "
-        f"by the obvious programme\n(the paper's start, a star, {papers} among them), from {free} by Constrained; when "
+        f"by the obvious programme (the paper's start, a star, {papers} among them), from {free} by Constrained; when "
         f"told from {kept}. All starts have {fixed}"
     )
     rows = -(-(len(methods) + 1) // _PAIRS_A_ROW)
@@ -147,7 +147,10 @@ def _map(axes: Axes, rows: Sequence[EndRow], starts: str) -> tuple[float, float,
 def _tick(axes: Axes, starts: str) -> None:
     """Put ticks at round values inside the limits."""
     if starts == TILTS:
-        axes.set_yticks([beta for beta in (-90, 0, 90, 180) if axes.get_ylim()[0] <= beta <= axes.get_ylim()[1]])
+        low, high = axes.get_ylim()
+        axes.set_yticks(
+            [b for b in ((-90, 0, 90, 180) if high - low > 180 else (-40, -20, 0, 20, 40)) if low <= b <= high]
+        )
         return
     low, high = axes.get_xlim()
     depths = [depth for depth in (20, 50, 250, 1000, 4000) if low <= np.log10(depth) <= high]
@@ -164,8 +167,8 @@ def shares_figure(shares: Sequence[ShareRow], of_rigs: Sequence[ShareRow]) -> Fi
     """Draw the shares of ends: the worked example from random starts, and random rigs."""
     solve, cold = total(of_rigs, DEFAULT), total(of_rigs, "random_ipopt_without")
     heading = (
-        f"From the closed form and with c > 0 {solve.behind} of {solve.searches} random rigs end on the plane behind; "
-        f"from random\nstarts without it {100 * cold.behind_share:.1f} % do, and "
+        f"Told that the lit side is seen (c > 0), {solve.behind} searches from the closed form on {solve.searches} "
+        f"random rigs end on the plane behind; not told and from random starts {100 * cold.behind_share:.1f} % do, and "
         f"{100 * share(shares, RANDOM, CONSTRAINED, 'without').behind_share:.1f} % of those on the worked example"
     )
     with figure(12.5, 9.5, heading) as made:

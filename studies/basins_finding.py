@@ -25,7 +25,7 @@ from studies.basins_summary import CONFIDENCE, EDGES, INSIDE, NEAR, OUTSIDE, Sha
 
 CONSTRAINED, PAPER_VARIABLES = (search.method for search in FAST[:2])
 NEAREST = f"{EDGES[0]:g} to {EDGES[1]:g}"
-"""The class of distances where the plane behind is least steep, and most often found."""
+"""The class of distances where the plane behind is least steep."""
 
 
 def from_papers_start(rows: Sequence[EndRow]) -> dict[tuple[str, str], str]:
@@ -78,12 +78,14 @@ def headline(
     free, kept = ({m: e for (m, i), e in papers.items() if i == which} for which in ("without", "with"))
     random = {i: share(shares, RANDOM, CONSTRAINED, i) for i in ("without", "with")}
     solve, cold = total(of_rigs, DEFAULT), total(of_rigs, "random_ipopt_without")
-    near = rig_share(of_rigs, "random_ipopt_without", OUTSIDE, NEAREST) or cold
+    near = rig_share(of_rigs, "random_ipopt_without", OUTSIDE, NEAREST)
+    behind = _count(free, BEHIND)
     obvious = " (that of the programme without any inequality)" if free[OBVIOUS.method] == BEHIND else ""
     said = (
         f"Of {n.say('paper_start_without_searches', str(len(free)))} searches from the paper's own start without the "
-        f"inequality of visibility {n.say('paper_start_without_behind', str(_count(free, BEHIND)))} ends on the plane "
-        f"behind{obvious}, of {n.say('paper_start_with_searches', str(len(kept)))} with it "
+        f"inequality of visibility {n.say('paper_start_without_behind', str(behind))} "
+        f"{'ends' if behind == 1 else 'end'} on the plane behind{obvious}, of "
+        f"{n.say('paper_start_with_searches', str(len(kept)))} with it "
         f"{n.say('paper_start_with_behind', str(_count(kept, BEHIND)))}; from "
         f"{n.say('random_starts', str(random['without'].searches))} random starts `Constrained` with Ipopt does so in "
         f"{n.say('random_without_behind_percent', _percent(random['without'].behind_share))} % without it and in "
@@ -93,8 +95,12 @@ def headline(
         f"under {n.say('solve_behind_upper_percent', f'{100 * solve.behind_upper:.2g}')} % at "
         f"{n.say('confidence_percent', f'{100 * CONFIDENCE:.0f}')} % confidence) and on the plane in "
         f"{n.say('solve_plane', str(solve.plane))}; without it and from random starts "
-        f"{n.say('cold_without_behind_percent', _percent(cold.behind_share))} % of the searches end behind, "
-        f"{n.say('cold_without_near_behind_percent', _percent(near.behind_share))} % where the camera is outside the "
+        f"{n.say('cold_without_behind_percent', _percent(cold.behind_share))} % of the searches end behind"
+    )
+    if near is None:
+        return f"{said}.", n
+    said += (
+        f", {n.say('cold_without_near_behind_percent', _percent(near.behind_share))} % where the camera is outside the "
         f"beam and the spot nearer than {n.say('near_distance_radii', f'{EDGES[1]:g}')} radii."
     )
     return said, n

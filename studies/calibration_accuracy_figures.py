@@ -33,8 +33,8 @@ def accuracy_figure(rows: Sequence[AccuracyRow]) -> Figure:
     f = [100 * median(rows, "tilt", value, "f_relative") for value in (low, high)]
     offset = [median(rows, "depths", value, "offset_mm") for value in (near, far)]
     heading = (
-        f"Tilt makes f: {f[0]:.2g} % at {low:g}°, {f[1]:.2g} % at {high:g}°; depths make the offset: {offset[0]:.2g} "
-        f"mm at 1:{near:g}, {offset[1]:.2g} mm at 1:{far:g}"
+        f"f is known to {f[0]:.2g} % with tilts to {low:g}°, {f[1]:.2g} % to {high:g}°; the offset to {offset[0]:.2g} "
+        f"mm with depths at 1:{near:g}, {offset[1]:.2g} mm at 1:{far:g}"
     )
     with figure(13.0, 4.6, heading) as made:
         grid: Any = np.ravel(made.subplots(1, 3, sharey=True))

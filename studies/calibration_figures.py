@@ -41,7 +41,7 @@ _CLAIMS = np.linspace(0.02, 0.98, 49)
 
 def coverage_figure(groups: Groups, judged: Judged) -> Figure:
     """Draw how much more often than claimed intervals held the truth, and the joint chi-squared's p-values."""
-    heading = f"95 % means 95 %: {judged.kept} of {judged.tests} tests of calibrations' claims within their limits"
+    heading = f"{judged.kept} of {judged.tests} tests of calibrations' claims are within their limits (grey)"
     with figure(13.0, 7.6, heading) as made:
         grid = made.subplots(2, len(groups))
         for column, (group, rows) in enumerate(groups.items()):
@@ -88,7 +88,7 @@ def repeats_figure(judged: Judged) -> Figure:
     """Draw reported standard deviations over the scatter of repeats."""
     ratios = [row.ratio for row in pooled(judged).values()]
     heading = (
-        f"What is reported is what scatters: {min(ratios):.3f} to {max(ratios):.3f} over all sessions "
+        f"Reported standard deviations are {min(ratios):.3f} to {max(ratios):.3f} times the scatter over all sessions "
         "(grey: limits; dotted: 15 %)"
     )
     names = [row.session for row in judged.repeats if row.quantity == QUANTITIES[0]]
@@ -122,8 +122,13 @@ def models_figure(
     rows: Sequence[ModelRow], summaries: Sequence[ModelSummary], sessions: Sequence[SessionRow]
 ) -> Figure:
     """Draw what models are worth that lack something, and what the joint covariance is."""
-    flat = next(row for row in summaries if row.case == BOWED and "flat" in row.model)
-    heading = f"A bow of 0.5 mm that is taken as flat moves f by {100 * flat.f_bias:.2g} %, free it costs little"
+    flat, free = (
+        next(row for row in summaries if row.case == BOWED and word in row.model) for word in ("flat", "free")
+    )
+    heading = (
+        f"Errors of f with a bow of 0.5 mm: {100 * flat.f_bias:.2g} % where it is taken as flat, "
+        f"{100 * free.f_bias:.2g} % where it is free"
+    )
     with figure(13.0, 4.8, heading) as made:
         intervals, beam, planes = made.subplots(1, 3, width_ratios=(1.35, 1, 1))
         _intervals(intervals, summaries)

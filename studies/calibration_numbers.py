@@ -72,7 +72,7 @@ def headline(n: Mapping[str, float]) -> str:
         f"{n['least_reported_over_scatter']:.2f} to {n['largest_reported_over_scatter']:.2f} times the scatter; "
         f"{n['tests_within_limits']:.0f} of {n['tests']:.0f} tests are within their limits at a family-wise "
         f"{n['family_wise_level']:g}. From {n['least_views']:g} views to {n['most_views']:g} the standard deviation of "
-        f"f falls from {n['f_percent_at_least_views']:.3f} to {n['f_percent_at_most_views']:.3f} %, from tilts of "
+        f"f goes from {n['f_percent_at_least_views']:.3f} to {n['f_percent_at_most_views']:.3f} %, from tilts of "
         f"{n['least_tilt_deg']:g} degrees at most to {n['most_tilt_deg']:g} from "
         f"{n['f_percent_at_least_tilt_deg']:.3f} to {n['f_percent_at_most_tilt_deg']:.3f} %; from a depth ratio of "
         f"{n['least_depth_ratio']:g} to "

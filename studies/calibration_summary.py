@@ -165,8 +165,7 @@ def finding(
         "With camera and beam taken as independent, each with its own covariance, the same planes' "
         f"standard deviation of z_L would be {median_apart(by_default):.0f} times as large in the median ("
         f"{np.median(of(by_default, 'z_L_apart_mm')):.2g} mm, not {np.median(of(by_default, 'z_L_sigma_mm')):.2g} mm), "
-        f"and 95 % intervals would hold the truth in {_apart_coverage(by_default)} % of cases: the offset is as "
-        "uncertain as the principal point, and the two move together.",
+        f"and 95 % intervals would hold the truth in {_apart_coverage(by_default)} % of cases.",
         "",
         "**What the accuracy depends on** (`accuracy.csv`; medians of standard deviations, and the errors' own, as the "
         "median of their size tells it; corners 0.2 px, boundaries 0.1 px; 15 views, tilts to 40 degrees, depth ratio "
@@ -178,8 +177,7 @@ def finding(
         "|---|---|---|---|---|---|---|---|---|---|---|",
         *_accuracies(accuracy),
         "",
-        f"Where views are hardly tilted the errors are not of first order: {_flat(accuracy)}. `calibrate` refuses "
-        "sessions without views tilted by 10 degrees or more.",
+        f"{_flat(accuracy)}. `calibrate` refuses sessions without views tilted by 10 degrees or more.",
         "",
         "**Models** (`models.csv`, `summaries.csv`) that lack something, "
         "or are chosen by a test (RMS errors; medians of standard deviations):",
@@ -244,7 +242,7 @@ def _accuracies(rows: Sequence[AccuracyRow]) -> Iterator[str]:
 def _flat(rows: Sequence[AccuracyRow]) -> str:
     tilts = sorted({row.value for row in rows if row.varied == "tilt"})
     worst = [f"{worst_in_sigmas(rows, 'tilt', tilt):.1f} at {tilt:g}" for tilt in tilts]
-    return f"the worst f is off by so many own standard deviations (at tilts to, in degrees): {', '.join(worst)}"
+    return f"The worst f is off by so many own standard deviations (at tilts to, in degrees): {', '.join(worst)}"
 
 
 def _models(rows: Sequence[ModelSummary]) -> Iterator[str]:

@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 
 from studies.constraints_culprit import CulpritRow
 from studies.constraints_estimates import ESTIMATORS, EstimateRow, TripleRow
 from studies.constraints_ranks import EdgeRow, RankRow
 from studies.constraints_subsets import SINGULAR, SubsetRow
-from studies.constraints_summary import Tables
+from studies.constraints_summary import Tables, laser_rank
 from studies.style import DARK, FAINT, LIGHT, RED, figure
 
 _LOOKS: tuple[dict[str, Any], ...] = (
@@ -26,11 +27,9 @@ _LOOKS: tuple[dict[str, Any], ...] = (
 def ranks_figure(tables: Tables, said: Mapping[str, float]) -> Figure:
     """Draw the whitened system's condition over tilts and depths, and what happens at planes through the camera."""
     heading = (
-        f"Laser block: rank {said['laser_rank_least']:.0f} at all of {said['planes']:.0f} planes; the rest worsens "
-        "with depth and tilt"
+        f"Over {said['planes']:.0f} planes the laser block has rank {laser_rank(said)}; all ten have condition numbers "
+        f"of {min(row.condition for row in tables.ranks):.0f} to {max(row.condition for row in tables.ranks):.0f}"
     )
-    if said["laser_rank_least"] != said["laser_rank_most"]:
-        heading = "The laser block's rank is not the same everywhere"
     with figure(11.5, 4.6, heading) as made:
         over, edge = made.subplots(1, 2)
         _draw_conditions(over, tables.ranks)
@@ -47,7 +46,8 @@ def _draw_conditions(axes: Axes, rows: Sequence[RankRow]) -> None:
         axes.fill_between(tilts, [min(g) for g in groups], [max(g) for g in groups], color=look["color"], alpha=0.15)
         axes.plot(tilts, [np.median(g) for g in groups], lw=1.3, ms=5, label=f"z_L = {depth:g} mm", **look)
     axes.set(yscale="log", xlabel="tilt alpha (deg)", ylabel="condition number, whitened")
-    axes.set_title("median and range over azimuths, offsets 0 to 50 mm, r = 10 mm")
+    offsets = [row.offset_mm for row in rows]
+    axes.set_title(f"median and range over azimuths and offsets, {min(offsets):g} to {max(offsets):g} mm")
     axes.legend(loc="upper left")
 
 
@@ -111,6 +111,7 @@ def _draw_ends(axes: Axes, rows: Sequence[SubsetRow]) -> None:
             )
     axes.set_yticks(place, [row.rows for row in rows], fontsize=8)
     axes.invert_yaxis()
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set(xlabel="searches", title="where searches from random starts end")
 
 
@@ -127,8 +128,18 @@ def estimates_figure(tables: Tables, said: Mapping[str, float]) -> Figure:
         _draw_triples(triples, tables.triples)
         for axes in (drawn, triples):
             axes.axvline(1, color="black", lw=0.8)
+            _plain(axes)
             axes.grid(visible=True, axis="x")
     return made
+
+
+def _plain(axes: Axes) -> None:
+    """Put ticks at round numbers along a logarithmic axis, few enough for their labels."""
+    low, high = axes.get_xlim()
+    ticks = (1, 1.1, 1.2, 1.5, 2, 3) if high < 4 * low else (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+    axes.xaxis.set_major_locator(FixedLocator([tick for tick in ticks if low <= tick <= high]))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_locator(NullLocator())
 
 
 def _draw_estimates(axes: Axes, rows: Sequence[EstimateRow]) -> None:

@@ -1,5 +1,6 @@
 """What the study of the constraints says, made from its tables."""
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -87,13 +88,10 @@ def _percent(rows: Sequence[SubsetRow], column: str) -> float:
 
 def headline(said: Mapping[str, float]) -> str:
     """Say it in a sentence."""
-    ranks = f"{said['laser_rank_least']:.0f}"
-    if said["laser_rank_least"] != said["laser_rank_most"]:
-        ranks += f" to {said['laser_rank_most']:.0f}"
     return (
-        f"Over {said['planes']:.0f} planes the laser block has rank {ranks}. One of its rows alone as a hard "
-        f"constraint leaves {said['one_row_searches_off_the_beam_percent']:.0f} % of the searches at spots off the "
-        f"beam; {said['choices_of_several_rows_with_singular_kkt']:.0f} of the "
+        f"Over {said['planes']:.0f} planes the laser block has rank {laser_rank(said)}. One of its rows alone as a "
+        f"hard constraint leaves {said['one_row_searches_off_the_beam_percent']:.0f} % of the searches at spots off "
+        f"the beam; {said['choices_of_several_rows_with_singular_kkt']:.0f} of the "
         f"{said['choices_of_several_rows']:.0f} choices of several rows make the KKT matrix singular, and "
         f"{said['several_rows_searches_on_the_plane_percent']:.0f} % of the searches with them end at the plane, with "
         f"the independent form {said['independent_form_searches_on_the_plane_percent']:.0f} %. Over the bound, the "
@@ -103,6 +101,12 @@ def headline(said: Mapping[str, float]) -> str:
         f"names the equation with an error of {said['outlier_px']:.0f} px in {said['elastic_names_percent']:.0f} % of "
         f"cases, the largest least-squares slack in {said['constrained_names_percent']:.0f} %."
     )
+
+
+def laser_rank(said: Mapping[str, float]) -> str:
+    """Say between which ranks the laser block is."""
+    least, most = f"{said['laser_rank_least']:.0f}", f"{said['laser_rank_most']:.0f}"
+    return least if least == most else f"{least} to {most}"
 
 
 def finding(tables: Tables, said: Mapping[str, float]) -> str:
@@ -127,13 +131,16 @@ def finding(tables: Tables, said: Mapping[str, float]) -> str:
 def _of_ranks(tables: Tables) -> list[str]:
     tilted = [row for row in tables.ranks if row.alpha_deg > 0]
     frontal = [row for row in tables.ranks if row.alpha_deg == 0]
+    at = list(dict.fromkeys(row.offset_mm for row in tables.free))
+    lost = Counter(row.unknown for row in tables.free if row.changes_nothing)
     near, far = min(tables.edge, key=_intercept), max(tables.edge, key=_intercept)
     free = [row for row in tables.free if row.changes_nothing]
+    offsets = [row.offset_mm for row in tables.ranks]
     return [
-        f"**Rank** (`ranks.csv`). At all {len(tilted)} tilted planes, from cameras on the beam's axis to 50 mm off it, "
-        f"the ten have rank {_span(row.ten_rank for row in tilted)} and the laser block "
-        f"{_span(row.laser_rank for row in tilted)}; at the {len(frontal)} planes without tilt "
-        f"{_span(row.ten_rank for row in frontal)}, because beta means nothing there. The condition number of the "
+        f"**Rank** (`ranks.csv`). At all {len(tilted)} tilted planes, from cameras {min(offsets):g} to "
+        f"{max(offsets):g} mm off the beam's axis, the ten have rank {_span(row.ten_rank for row in tilted)} and the "
+        f"laser block {_span(row.laser_rank for row in tilted)}; at the {len(frontal)} planes without tilt "
+        f"{_span(row.ten_rank for row in frontal)}: beta means nothing there. The condition number of the "
         f"whitened system is {min(row.condition for row in tables.ranks):.0f} to "
         f"{max(row.condition for row in tables.ranks):.0f}:",
         "",
@@ -145,11 +152,11 @@ def _of_ranks(tables: Tables) -> list[str]:
             if (own := [row.condition for row in tables.ranks if row.offset_mm == offset])
         ),
         "",
-        f"**Where rank is lost** (`edge.csv`). At planes through the camera the two planes of an image meet: from "
+        "**Where rank is lost** (`edge.csv`). At planes through the camera the two planes of an image meet: from "
         f"c / z_L = {far.intercept_over_z_L:g} to {near.intercept_over_z_L:g} the smallest singular value of the "
-        f"coefficients goes down to {near.smallest_over_largest:.1e} of the largest, along the direction to the second "
-        f"plane, (r^2, e_x, e_y), to {near.from_second_plane_deg:.2f} deg. Whitened it stays at "
-        f"{near.whitened_smallest_over_largest:.1e}: the boundary itself still moves there.",
+        f"coefficients goes from {far.smallest_over_largest:.1e} to {near.smallest_over_largest:.1e} of the largest, "
+        f"along the direction to the second plane, (r^2, e_x, e_y), to {near.from_second_plane_deg:.2f} deg. Whitened "
+        f"it goes from {far.whitened_smallest_over_largest:.1e} to {near.whitened_smallest_over_largest:.1e}.",
         "",
         "With a number of the rig unknown as well (`free.csv`):",
         "",
@@ -157,7 +164,8 @@ def _of_ranks(tables: Tables) -> list[str]:
         "|---|---|---|",
         *(f"| {row.unknown} | {row.offset_mm:g} | {row.changes_nothing} |" for row in free),
         "",
-        "With r unknown, only the camera on the beam's axis has a free scale; an offset fixes it.",
+        f"Of {len(tables.free)} pairs of unknown and offset ({', '.join(f'{o:g}' for o in at)} mm) these are "
+        f"{len(free)}: {'; '.join(f'{name} at {count} of {len(at)} offsets' for name, count in lost.items())}.",
     ]
 
 
@@ -199,11 +207,12 @@ def _said_of_several(rows: Sequence[SubsetRow]) -> str:
         )
         for form in ("slack", "objective")
     }
+    reports = sorted({getattr(row, f"ipopt_with_{form}") for row in several for form in counts})
     return (
-        f"{len(refused)} choice is refused, by its count. Rows that repeat each other are not: of the {len(several)} "
-        f"choices of two to four rows IPOPT, begun at the closed form, reports success in {counts['slack'][0]} with "
+        f"Refused, by their count, are {', '.join(row.rows for row in refused) or 'none'}. Of the {len(several)} other "
+        f"choices of several rows IPOPT, begun at the closed form, reports success in {counts['slack'][0]} with "
         f"slack and in {counts['objective'][0]} with the image block as objective, and stands at the plane in "
-        f"{counts['slack'][1]} and {counts['objective'][1]}; none of its reports says that the rows repeat each other."
+        f"{counts['slack'][1]} and {counts['objective'][1]}. Its reports: {', '.join(reports)}."
     )
 
 

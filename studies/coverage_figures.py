@@ -37,7 +37,7 @@ def coverage_figure(groups: Mapping[str, Sequence[Checks]], coverage: Sequence[C
     """Draw for each group and method how much more often than claimed an interval held the truth, over the claim."""
     judged = [row for row in coverage if row.group != IGNORING]
     inside = sum(row.within for row in judged)
-    heading = f"95 % means 95 %: {inside} of {len(judged)} proportions of intervals within their limits (grey)"
+    heading = f"{inside} of {len(judged)} proportions of intervals that hold the truth are within their limits (grey)"
     panels = [(group, method) for group in groups for method in METHODS]
     with figure(12.0, 4.0 * len(groups), heading) as made:
         grid = np.ravel(made.subplots(len(groups), len(METHODS), sharex=True, sharey="row"))

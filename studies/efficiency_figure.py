@@ -13,14 +13,11 @@ from studies.style import DARK, FAINT, LIGHT, figure
 
 def efficiency_figure(rows: Sequence[CellRow], found: Sequence[VerdictRow]) -> Figure:
     """Draw each cell's error over the bound, and its coverage, against how far it is from the criterion's limits."""
+    above = ", ".join(f"{verdict.above} of {verdict.cells} cells {verdict.criterion} it" for verdict in found)
     heading = (
         f"Within the criterion the error over the bound is {found[0].pooled_over_bound:.3f}; "
-        f"all {sum(v.above for v in found)} cells above {EFFICIENT} by more than chance lie beyond it"
+        f"above {EFFICIENT} by more than chance: {above}"
     )
-    if found[0].above:
-        heading = (
-            f"{found[0].above} cells within the criterion are above {EFFICIENT} times the bound by more than chance"
-        )
     excess = np.array([row.excess for row in rows])
     far = np.isfinite(excess)
     edge = 3 * float(np.max(excess[far]))

@@ -126,7 +126,7 @@ def finding(rows: Sequence[CellRow], found: Sequence[VerdictRow]) -> str:
     lines = [
         "# Maximum likelihood at the Cramér-Rao bound",
         "",
-        f"**The bound is reached.** {headline(numbers(found))}",
+        f"**In short.** {headline(numbers(found))}",
         "",
         "| criterion | cells | draws | without a plane | over the bound: all draws | median cell | worst cell | "
         f"above {EFFICIENT} | below the bound | isotropic noise, worst | least coverage of 95 % | flagged |",
@@ -157,10 +157,10 @@ def _of_the_bad(rows: Sequence[CellRow], bad: Sequence[CellRow]) -> str:
     needless = sum(1 < row.excess < first for row in rows)
     among = [row for row in rows if row.excess >= first]
     missed = max(1 - row.covered_95 for row in bad)
+    early = f", {needless} cells between 1 and {first:.2g} times are marked and not above," if first > 1 else ""
     return (
-        f"**The criterion marks the right cells, and more.** It marks {marked} of the {len(bad)} cells whose error is "
-        f"above {EFFICIENT} times the bound. It is on the safe side: the first of them is at {first:.2g} times its "
-        f"limits, {needless} cells between 1 and {first:.2g} times the limits are marked and still at the bound, and "
-        f"of the {len(among)} cells from there on {len(bad)} are above. In the worst of them intervals of 95 % miss "
+        f"**The criterion.** It marks {marked} of the {len(bad)} cells whose error is above {EFFICIENT} times the "
+        f"bound by more than chance. The first of them is at {first:.2g} times its limits{early} and of the "
+        f"{len(among)} cells from there on {len(bad)} are above. In the worst of them intervals of 95 % miss "
         f"{missed:.0%} of the time."
     )

@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, LogLocator, NullLocator
 
 from studies.efficiency_cells import Array
@@ -105,6 +106,13 @@ def _panels(
         for axes in grid[:, 0]:
             axes.set_ylabel("RMS error over the Cramér-Rao bound")
         handles, labels = grid[0, 0].get_legend_handles_labels()
+        missing: list[tuple[dict[str, Any], str]] = []
+        if any(0.01 * row.draws < row.failed < row.draws for row in rows):
+            missing.append(({"marker": "o", "mfc": "none", "ms": 9}, "ring: some draws have no plane"))
+        if any(not np.isfinite(over_bound(row)) for row in rows):
+            missing.append(({"marker": "x", "ms": 6, "mew": 1.4}, "cross, at the top: no draw has a plane"))
+        handles += [Line2D([], [], ls="", color="black", **look) for look, _ in missing]
+        labels += [label for _, label in missing]
         made.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8.5)
     return made
 

@@ -60,8 +60,8 @@ def fits_heading(fits: Sequence[FitRow]) -> str:
         f"{np.median([row.over_bound for row in base if row.route == route]):.2f}" for route in ("primal", "dual", "-")
     )
     return (
-        f"The route counts more than the fit: {primal} (primal), {dual} (dual), {plane} (maximum likelihood) at the "
-        "dotted base case"
+        f"At the dotted base case the median fit is at {primal} times the bound by the primal route, {dual} by the "
+        f"dual; maximum likelihood of the plane at {plane}"
     )
 
 
@@ -70,8 +70,8 @@ def formulations_heading(formulations: Sequence[FormulationRow]) -> str:
     low, high = _range(formulations, "Constrained")
     worst = max(row.over_ml for row in formulations if row.formulation == "LeastSquares" and row.axis == "arc")
     return (
-        f"Constrained is at {low:.3f} to {high:.3f} times maximum likelihood; unweighted least squares at up to "
-        f"{worst:.0f} on short arcs"
+        f"Constrained is at {low:.3f} to {high:.3f} times maximum likelihood; unweighted least squares, along the "
+        f"arcs, at up to {worst:.3g}"
     )
 
 
@@ -139,7 +139,7 @@ def _same_minimum(rows: Sequence[FormulationRow]) -> str:
         if np.isfinite(by_name[name][place]) and np.isfinite(squares[place])
     ]
     return (
-        "Penalty, in both readings, ends where LeastSquares does: their RMS errors differ by at most "
+        "RMS errors of Penalty, in both readings, differ from those of LeastSquares by at most "
         f"{max(apart):.1%} (column `over_bound`)."
     )
 

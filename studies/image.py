@@ -51,7 +51,7 @@ def result_of(
     clear = max(row.points_over_bound for row in sweeps if row.axis != "speckle")
     heading = (
         f"Bias at most {said['largest_bias_sweeps_px']:.3f} px, with speckle {said['largest_bias_speckle_px']:.3f} px; "
-        f"noise at most {clear:.2f} times its bound, which knows nothing of speckle"
+        f"noise without speckle at most {clear:.2f} times its bound, which knows nothing of speckle"
     )
     return Result(
         tables={

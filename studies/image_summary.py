@@ -190,9 +190,9 @@ def finding(
         "# The boundary in an image",
         "",
         f"**Bias** (`cells.csv`). Of {len(plain)} cells ({sum(c.images for c in plain)} images) {len(known)} know the "
-        f"mean signed distance of the boundary to {KNOWN_PX} px: it is at most {_worst(known)}. In the noisier others "
-        f"it is at most {_worst(noisy)}. The largest over its standard error is {_most_significant(plain)}. "
-        f"Over-exposed twice ({len(over)} cells) it is at most {_worst(over)}.",
+        f"mean signed distance of the boundary to {KNOWN_PX} px: the largest is {_worst(known)}. Of the noisier others "
+        f"it is {_worst(noisy)}. The largest over its standard error is {_most_significant(plain)}. "
+        f"Over-exposed twice ({len(over)} cells) the largest is {_worst(over)}.",
         "",
         f"**Noise over the Cramér-Rao bound** (`cells.csv`), RMS: {'; '.join(noise)}.",
         "",

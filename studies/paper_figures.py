@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from planeopt import equations as eq
 from planeopt import paper
@@ -50,6 +51,7 @@ def repeats_figure(tables: Tables, said: Mapping[str, float]) -> Figure:
             left += width
         axes.set_yticks(range(len(rows)), [f"{row.method}\n{row.median_evaluations:.0f} evaluations" for row in rows])
         axes.invert_yaxis()
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_xlabel("tables, each coordinate of a point off by up to 0.00005 mm; from the paper's start")
         made.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return made

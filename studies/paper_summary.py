@@ -26,7 +26,7 @@ def numbers(tables: Tables) -> dict[str, float]:
         "numbers_that_decide": sum(decides(row) for row in tables.misprints),
         "corrected_largest_deviation_over_rounding": max(row.right_over_allowed for row in tables.misprints),
         "printed_least_deviation_over_rounding": min(row.printed_over_allowed for row in tables.misprints),
-        "as_printed_z_L_error_mm": abs(as_printed.z_L_error_mm),
+        "as_printed_z_L_error_mm": as_printed.z_L_error_mm,
         "as_printed_normal_error_deg": as_printed.normal_error_deg,
     }
 
@@ -41,7 +41,8 @@ def decides(row: MisprintRow) -> bool:
 
 
 def headline(said: Mapping[str, float]) -> str:
-    """Say it in a sentence."""
+    """Say it in a few sentences."""
+    side = "nearer" if said["as_printed_z_L_error_mm"] < 0 else "farther"
     return (
         f"From the paper's table of points and its start {said['methods_within_rounding']} of {said['methods']} "
         f"methods give the stated solution, at most {said['largest_error_over_what_rounding_allows']:.2f} of what the "
@@ -51,8 +52,8 @@ def headline(said: Mapping[str, float]) -> str:
         f"{said['numbers_that_decide']} numbers decide {said['misprints']} misprints: "
         f"the corrected readings are at most {said['corrected_largest_deviation_over_rounding']:.2f} of what rounding "
         f"allows off, the printed ones at least {said['printed_least_deviation_over_rounding']:.1f} times as much. "
-        f"Solved with all misprints left in, the ten equations give a plane {said['as_printed_z_L_error_mm']:.1f} mm "
-        f"nearer and {said['as_printed_normal_error_deg']:.1f} deg off."
+        f"Solved with all misprints left in, the ten equations give a plane "
+        f"{abs(said['as_printed_z_L_error_mm']):.1f} mm {side} and {said['as_printed_normal_error_deg']:.1f} deg off."
     )
 
 
@@ -60,6 +61,7 @@ def finding(tables: Tables, said: Mapping[str, float]) -> str:
     """Say what was found; every number comes from the tables."""
     second = second_pose()
     ranks = tables.ranks[0]
+    left = {row.reading: row for row in tables.consequences}
     exact = [row for row in tables.table_2 if abs(row.printed_minus_6) <= 5e-5]
     return "\n".join(
         [
@@ -126,8 +128,10 @@ def finding(tables: Tables, said: Mapping[str, float]) -> str:
                 for row in tables.consequences
             ),
             "",
-            "A misprint in d_5 alone does no harm: where the spot lies on the beam its term vanishes. One in (15) "
-            "leaves a misfit that no plane removes.",
+            f"With d_5 alone as printed, whose term vanishes where the spot lies on the beam, z_L is off by "
+            f"{abs(left['d_5 of (9)'].z_L_error_mm):.4f} mm and the largest misfit is "
+            f"{left['d_5 of (9)'].largest_misfit:.1e}; with (15) as printed a misfit of "
+            f"{left['(15) and (28)'].largest_misfit:.3g} is left.",
         ]
     )
 

@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from planeopt import paper
 from studies.style import DARK, FAINT, LIGHT, RED, figure
 from studies.swift_paths import ValleyRow, WorkRow
 from studies.swift_runs import AT_MINIMISER, DEFAULT, READINGS, STARTS
-from studies.swift_summary import IN_WORDS, EndRow, Tables, slope_of_tolerance
+from studies.swift_summary import IN_WORDS, EndRow, Tables, ends, median_calls, slope_of_tolerance
 from studies.swift_weights import ToleranceRow, WeightRow
 
 _FLOOR = 1e-17
@@ -22,7 +23,7 @@ def weights_figure(tables: Tables, said: Mapping[str, float]) -> Figure:
     """Draw what the weight does to the minimiser, the beam's equation, the error and a simplex of equal values."""
     heading = (
         f"J = 0: the weight moves the minimiser by at most {said['J_0_minimiser_moves_at_most']:.0e}; "
-        f"J = image block: the violation falls as weight^"
+        f"J = image block: the violation goes as weight^"
         f"{said['image_objective_violation_falls_with_weight_to_the_power']:.2f}"
     )
     with figure(11.5, 7.4, heading) as made:
@@ -123,16 +124,28 @@ def _draw_ends(axes: Axes, rows: Sequence[EndRow]) -> None:
         fontsize=8,
     )
     axes.invert_yaxis()
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlabel("problems; beside them weights, and calls of values and derivatives (median)")
     axes.xaxis.label.set_fontsize(8)
 
 
 def work_figure(tables: Tables, said: Mapping[str, float]) -> Figure:
     """Draw distances to the minimiser against calls, J = 0, from both starts."""
-    heading = (
-        f"J = 0: stages only cost more; medians from the paper's start: SWIFT {said['swift_median_evaluations']:.0f} "
-        f"calls, IPOPT {said['ipopt_median_calls']:.0f}"
+    del said
+    found = {
+        name: ends(tables.ends, "paper's", "printed", method, schedule)
+        for name, method, schedule in (
+            ("SWIFT with weight 1", "Swift", "1"),
+            (f"with weights {DEFAULT}", "Swift", DEFAULT),
+            ("IPOPT", "Ipopt", None),
+        )
+    }
+    work = (
+        f"{name} {row.minimiser} of {row.searches}"
+        + (f" ({median_calls(tables.runs, row):.0f} calls in the median)" if row.minimiser else "")
+        for name, row in found.items()
     )
+    heading = f"J = 0, from the paper's start at the minimiser: {', '.join(work)}"
     looks: dict[str, dict[str, Any]] = {
         "Swift, 1": {"color": LIGHT, "marker": "o", "ls": "-"},
         f"Swift, {DEFAULT}": {"color": RED, "marker": "s", "ls": "--"},
