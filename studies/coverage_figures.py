@@ -134,14 +134,19 @@ def rig_figure(rows: Sequence[WrongRigRow], coverage: Sequence[CoverageRow]) -> 
         for group in (UNCERTAIN, IGNORING)
     )
     heading = (
-        f"Offset known to 0.04 mm: ignored, 95 % intervals hold the truth in {min(ignored):.0f} to {max(ignored):.0f} "
-        f"% of sets; counted, in {min(counted):.0f} to {max(counted):.0f} %"
+        f"Offset known to 0.04 mm: ignored, 95 % intervals hold the truth in {_span(ignored)} % of sets; counted, in "
+        f"{_span(counted)} %"
     )
     with figure(12.0, 4.6, heading) as made:
         claims, examples = made.subplots(1, 2, width_ratios=(1, 1.25))
         _claims(claims, rows)
         _examples(examples, rows)
     return made
+
+
+def _span(percents: Sequence[float]) -> str:
+    least, most = f"{min(percents):.0f}", f"{max(percents):.0f}"
+    return least if least == most else f"{least} to {most}"
 
 
 def _claims(axes: Axes, rows: Sequence[WrongRigRow]) -> None:

@@ -1,16 +1,19 @@
 """Times against sizes, and speed against workers."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, LogLocator, NullLocator
 
 from studies.scaling_runs import GrowthRow, TimeRow
 from studies.scaling_workers import WorkerRow
 from studies.style import DARK, FAINT, LIGHT, RED, figure
 
 _LOOKS = ((DARK, "o", "-"), (LIGHT, "s", "--"), (RED, "^", ":"))
+_MOST_TICKS = 6
 _UNITS = {
     "frames": "frames (spots, ellipses)",
     "points": "points of a spot",
@@ -43,8 +46,19 @@ def _times(axes: Axes, axis: str, rows: Sequence[TimeRow]) -> None:
         axes.plot(size, seconds[-1] * size / size[-1], color=FAINT, lw=0.9, zorder=0)
     axes.plot([], [], color=FAINT, lw=0.9, label="linear, through the last")
     axes.set(xscale="log", yscale="log", xlabel=_UNITS[axis], ylabel="time, ms", title=f"against {axis}")
+    sizes = sorted({row.size for row in rows})
+    axes.xaxis.set_major_locator(FixedLocator(sizes[:: -(-len(sizes) // _MOST_TICKS)]))
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)) if _decades(rows) < 2 else LogLocator())
+    for side in (axes.xaxis, axes.yaxis):
+        side.set_major_formatter("{x:g}")
+        side.set_minor_locator(NullLocator())
     axes.grid(True, which="major")
     axes.legend()
+
+
+def _decades(rows: Sequence[TimeRow]) -> float:
+    seconds = [row.seconds for row in rows]
+    return math.log10(max(seconds) / min(seconds))
 
 
 def _workers(axes: Axes, rows: Sequence[WorkerRow]) -> None:

@@ -135,17 +135,17 @@ def work_figure(tables: Tables, said: Mapping[str, float]) -> Figure:
     found = {
         name: ends(tables.ends, "paper's", "printed", method, schedule)
         for name, method, schedule in (
-            ("SWIFT with weight 1", "Swift", "1"),
-            (f"with weights {DEFAULT}", "Swift", DEFAULT),
+            ("SWIFT with the weight 1", "Swift", "1"),
+            (f"SWIFT with weights {DEFAULT}", "Swift", DEFAULT),
             ("IPOPT", "Ipopt", None),
         )
     }
     work = (
-        f"{name} {row.minimiser} of {row.searches}"
+        f"{row.minimiser} of {row.searches} by {name}"
         + (f" ({median_calls(tables.runs, row):.0f} calls in the median)" if row.minimiser else "")
         for name, row in found.items()
     )
-    heading = f"J = 0, from the paper's start at the minimiser: {', '.join(work)}"
+    heading = f"J = 0, from the paper's start, at the minimiser: {', '.join(work)}"
     looks: dict[str, dict[str, Any]] = {
         "Swift, 1": {"color": LIGHT, "marker": "o", "ls": "-"},
         f"Swift, {DEFAULT}": {"color": RED, "marker": "s", "ls": "--"},
