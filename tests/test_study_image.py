@@ -106,8 +106,11 @@ def axes(rows: Sequence[SweepRow]) -> Iterator[str]:
 
 
 def cases(rows: Sequence[CaseRow]) -> Iterator[str]:
+    # Right is within 4 of the own standard deviations in each of three numbers: chance alone goes beyond now and then.
+    by_chance = 3 * 2 * scipy.stats.norm.sf(4)
     for row in rows:
-        if row.right < row.least_right or row.right + row.refused < row.images:
+        beyond = scipy.stats.binom.isf(LEVEL / 2 / len(rows), row.images, by_chance)
+        if row.right < row.least_right or row.broken or row.degraded + row.wrong > beyond:
             yield f"{row}"
     right, images = sum(row.right for row in rows), sum(row.images for row in rows)
     if right < scipy.stats.binom.ppf(LEVEL / 2, images, RIGHT):
