@@ -14,7 +14,7 @@ from planeopt.estimation.efficiency import curvatures_seen
 from planeopt.estimation.feet import Boundary
 from planeopt.estimation.images import Images, conics_at
 from planeopt.estimation.judged import PointsSolution, blank
-from planeopt.estimation.points import Piece, alike, keep_memory, solve_piece
+from planeopt.estimation.points import CHUNK, Piece, alike, keep_memory, solve_piece
 from planeopt.estimation.rig_effect import RigDerivatives, RigEffect, Seen, Sight
 from planeopt.estimation.sets import Sets
 from planeopt.estimation.tangents import Cloud, complete
@@ -24,9 +24,6 @@ from planeopt.spot import Spot
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Rows = NDArray[np.intp]
-
-CHUNK = 1 << 17
-"""Points worked on at once: what operations cost beside their arithmetic is shared, and the caches hold the arrays."""
 
 
 @dataclass(frozen=True, eq=False)
